@@ -185,8 +185,8 @@ fn python_result<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>
 
 /// Creates an exception of the class `name` of `pwrfgs`; if that fails, returns the exception of the failure.
 fn new_exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
-    let made = py.import("pwrfgs._errors").and_then(|m| m.getattr(name)).and_then(|class| class.call1((message,)));
-    made.map_or_else(|error| error, PyErr::from_value)
+    let exception = py.import("pwrfgs._errors").and_then(|m| m.getattr(name)).and_then(|class| class.call1((message,)));
+    exception.map_or_else(|error| error, PyErr::from_value)
 }
 
 /// Converts an error to an exception with its text after [`replace_flags`], and with `path`, `line` and `column` if it names
@@ -198,21 +198,21 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
         Error::Plugin(inner) => match inner.downcast::<PyErr>() {
             Ok(error) => *error, // an exception of a strategy, with its traceback
             Err(inner) => {
-                let made = new_exception(py, "InputError", &message);
+                let exception = new_exception(py, "InputError", &message);
                 let cause = inner.source().and_then(|cause| cause.downcast_ref::<PyErr>());
-                made.set_cause(py, cause.map(|cause| cause.clone_ref(py)));
-                made
+                exception.set_cause(py, cause.map(|cause| cause.clone_ref(py)));
+                exception
             }
         },
         Error::Stopped => PyKeyboardInterrupt::new_err(message),
         Error::Input { path, at, .. } => {
-            let made = new_exception(py, "InputError", &message);
-            let value = made.value(py);
+            let exception = new_exception(py, "InputError", &message);
+            let value = exception.value(py);
             _ = value.setattr("path", path.display().to_string());
             if let Some((line, column)) = at {
                 _ = value.setattr("line", line).and_then(|()| value.setattr("column", column));
             }
-            made
+            exception
         }
         _ => new_exception(py, if is_input { "InputError" } else { "Error" }, &message),
     }

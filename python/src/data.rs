@@ -144,10 +144,10 @@ impl Dataset {
             Some(_) => Ends::of_moving_receivers(receivers, transmitter),
         };
         let data = without_gil(py, || {
-            let made = Data::of_links(title, ends, points, &samples, observations)?;
-            let made = Data { elevation, simulation, ..made };
-            let made = Data { title: made.marked_title(), ..made };
-            let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
+            let data = Data::of_links(title, ends, points, &samples, observations)?;
+            let data = Data { elevation, simulation, ..data };
+            let data = Data { title: data.marked_title(), ..data };
+            let data = if let Some(carriers) = carriers { data.with_carriers(&carriers)? } else { data };
             check_dataset(&data).map(|()| data)
         })?;
         inputs::warn_findings(py, &data, None)?;

@@ -194,8 +194,8 @@ impl Drawing {
     #[getter]
     fn transmittance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let ImagePlane { width, height, .. } = self.view.plane;
-        let left = &self.render.transmittance;
-        (!left.is_empty()).then(|| array(py, left.clone(), &[height, width]).map(Bound::into_any)).transpose()
+        let values = &self.render.transmittance;
+        (!values.is_empty()).then(|| array(py, values.clone(), &[height, width]).map(Bound::into_any)).transpose()
     }
 
     /// Gradients for (means, quats, scales, opacities, signals) and for position and orientation of the receiver, given the

@@ -55,7 +55,7 @@ impl TrainerState {
 /// Training in progress, step by step; see the Python class of that name.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Trainer {
-    held: Mutex<TrainerState>,
+    state: Mutex<TrainerState>,
     /// Whether a step failed, which may leave the state inconsistent.
     failed: AtomicBool,
 }
@@ -65,13 +65,13 @@ impl Trainer {
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
         let mut work = Some(work);
         poll_work(py, || {
-            let mut held = match self.held.try_lock() {
-                Ok(held) => held,
-                Err(TryLockError::Poisoned(held)) => held.into_inner(),
+            let mut state = match self.state.try_lock() {
+                Ok(state) => state,
+                Err(TryLockError::Poisoned(state)) => state.into_inner(),
                 Err(TryLockError::WouldBlock) => return None,
             };
             let work = work.take()?;
-            Some(held.with_dependent_mut(|_, inner| work(inner)))
+            Some(state.with_dependent_mut(|_, inner| work(inner)))
         })
     }
 }
@@ -104,7 +104,7 @@ impl Trainer {
             let loss = loss.map(|function| PythonLoss { function, task: data.task() });
             TrainerState::begin(&inner, data, &partition, loss, checkpoint, stop)
         };
-        Ok(Self { held: Mutex::new(run_stoppable(py, begin)?), failed: AtomicBool::new(false) })
+        Ok(Self { state: Mutex::new(run_stoppable(py, begin)?), failed: AtomicBool::new(false) })
     }
 
     /// Replaces the Gaussians by `columns`, arrays by name; `is_world` for means in the world frame.

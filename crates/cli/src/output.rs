@@ -51,8 +51,8 @@ pub(crate) fn set_program_path(path: Option<&OsString>) {
     }
 }
 
-/// Returns the path of the program, for a command line that starts it again: that of the call if it has a folder, else
-/// that of the executable. The executable of the Python package, which a script calls, is the interpreter.
+/// Returns the path of the program, for a command line that starts it again: that of the call if it has a folder,
+/// else that of the executable. In the Python package, the executable would be the interpreter.
 pub(crate) fn program_path() -> Result<PathBuf> {
     let failed = |e| Error::Config(format!("cannot find the path of this program: {e}"));
     PROGRAM.get().map_or_else(|| std::env::current_exe().map_err(failed), |called| Ok(called.clone()))

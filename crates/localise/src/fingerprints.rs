@@ -139,6 +139,7 @@ impl FingerprintBuilder<'_> {
         let repeated = || rows.iter().filter(|readings| readings.count > 1.0);
         let freedom = repeated().map(|readings| readings.count - 1.0).sum::<f32>();
         let variance = repeated().map(|readings| readings.squares).sum::<f32>() / freedom;
+        // Without repeated readings, the variance is NaN.
         let weights = if variance > 0.0 {
             rows.iter().map(|readings| readings.weight(variance)).collect()
         } else {
@@ -227,7 +228,7 @@ const LANES: usize = 16;
 /// Returns the weighted mean squared difference of features over those that both contain; infinite if there are none. Sums of
 /// [`LANES`] run side by side, for vector instructions.
 fn mean_squared_difference(a: &[f32], b: &[f32], weights: &[f32]) -> f32 {
-    // Equals the sums below, in a fraction of their time.
+    // A single feature: equals the sums below, in a fraction of their time.
     if let (&[a], &[b], &[weight]) = (a, b, weights) {
         let d = a - b;
         return if d.is_nan() || weight == 0.0 { f32::INFINITY } else { weight * (d * d) / weight };

@@ -39,7 +39,7 @@ impl Density {
 
     /// Returns the weight of each kernel, its closeness 1/(1 + r²) to a point, and its position; r is the horizontal distance in
     /// kernel widths.
-    fn closeness(&self, [x, y]: [f64; 2]) -> impl Iterator<Item = (f64, f64, &[f64; 3])> {
+    fn kernels_with_closeness(&self, [x, y]: [f64; 2]) -> impl Iterator<Item = (f64, f64, &[f64; 3])> {
         let scale = 1.0 / (self.bandwidth * self.bandwidth);
         self.kernels.iter().map(move |(w, p)| {
             let (dx, dy) = (x - p[0], y - p[1]);
@@ -50,7 +50,7 @@ impl Density {
     /// Returns the density at a point, per square metre.
     pub(crate) fn value_at(&self, point: [f64; 2]) -> f64 {
         let mut sum = 0.0;
-        for (w, near, _) in self.closeness(point) {
+        for (w, near, _) in self.kernels_with_closeness(point) {
             sum += w * near * near;
         }
         sum / (PI * self.bandwidth * self.bandwidth)
@@ -65,8 +65,8 @@ impl Density {
         Some(self.ascend(peak))
     }
 
-    /// Returns the mode that the ascent from a point finds: every step leads to the mean of the positions, with weights
-    /// for which the mean is the point if the gradient is 0 (mean shift).
+    /// Returns the mode that mean shift finds from a point: every step leads to a weighted mean of the positions, which is
+    /// the point itself if the gradient is 0 there.
     fn ascend(&self, mut point: [f64; 2]) -> [f64; 2] {
         for _ in 0..STEPS {
             let next = self.weighted_mean(point, true);
@@ -79,11 +79,11 @@ impl Density {
         point
     }
 
-    /// Returns the mean of the positions, weighted by their weights times a power of the closeness to a point: 2, or 3 if
-    /// `is_gradient`.
+    /// Returns the mean of the positions, weighted by their weights times a power of the closeness to a point: 2, as in the
+    /// density, or 3 if `is_gradient`, as in its gradient.
     fn weighted_mean(&self, point: [f64; 2], is_gradient: bool) -> [f64; 3] {
         let (mut x, mut y, mut z, mut total) = (0.0, 0.0, 0.0, 0.0);
-        for (w, near, p) in self.closeness(point) {
+        for (w, near, p) in self.kernels_with_closeness(point) {
             let weight = w * near * near * if is_gradient { near } else { 1.0 };
             total += weight;
             x += weight * p[0];

@@ -135,7 +135,7 @@ impl ComparedRuns {
         // Methods are compared by what one model of each learns.
         (base.members, base.residuals) = (1, None);
         (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
-        let mut whole: Option<SweepPlan> = None;
+        let mut merged: Option<SweepPlan> = None;
         for method in labels {
             let is_named = settings.methods.iter().any(|name| name == method);
             if !is_named && !settings.methods.is_empty() {
@@ -144,13 +144,13 @@ impl ComparedRuns {
             let planned = restrict_to_method(&experiment, method)
                 .and_then(|experiment| self.plan_runs(&experiment, &base, survey));
             match planned {
-                Ok(mut plan) => match &mut whole {
-                    Some(whole) => {
-                        let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
+                Ok(mut plan) => match &mut merged {
+                    Some(merged) => {
+                        let combination = merged.runs.last().map_or(0, |run| run.combination + 1);
                         plan.runs.iter_mut().for_each(|run| run.combination = combination);
-                        whole.runs.extend(plan.runs);
+                        merged.runs.extend(plan.runs);
                     }
-                    None => whole = Some(plan),
+                    None => merged = Some(plan),
                 },
                 Err(error) if !is_named && error.is_input() => {
                     observer.on_message(&format!(
@@ -160,7 +160,7 @@ impl ComparedRuns {
                 Err(error) => return Err(error),
             }
         }
-        whole.ok_or_else(|| {
+        merged.ok_or_else(|| {
             Error::Config(format!("{}: no method can predict these data; see docs/data.md", survey.data.title))
         })
     }

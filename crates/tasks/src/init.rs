@@ -3,6 +3,7 @@
 mod effort;
 mod survey;
 
+use crate::models::plain_name;
 pub use effort::Effort;
 use effort::Sizing;
 use pwrfgs_core::plugin::try_to_ron;
@@ -195,8 +196,7 @@ fn camera_settings(data: &Dataset) -> Vec<String> {
 pub fn pipeline_name(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let plain: String =
-        name.chars().map(|c| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
+    let plain = plain_name(&name);
     let plain = plain.trim_start_matches(['.', '-']);
     if plain.is_empty() { "pipeline".into() } else { plain.into() }
 }

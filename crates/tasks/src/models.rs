@@ -39,10 +39,14 @@ pub fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
 
 /// Returns the name of an ensemble member in a model file, from the path of its model.
 fn member_name(path: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
-    let name: String = path.trim_matches('/').chars().map(plain).collect();
+    let name = plain_name(path.trim_matches('/'));
     let start = name.len().saturating_sub(LONGEST_NAME); // paths differ at the end
     name[start..].to_owned()
+}
+
+/// Replaces the characters of `text` that names of models and pipelines cannot have by dashes.
+pub(crate) fn plain_name(text: &str) -> String {
+    text.chars().map(|c| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect()
 }
 
 /// Returns the indices of the receivers with these names, in the order of the model; all for no name or `all`.

@@ -279,8 +279,8 @@ fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) ->
 fn test_links(data: &Dataset, choices: &[Choice]) -> Vec<usize> {
     let mut is_taken = vec![false; data.locations.len()];
     choices.iter().flat_map(|choice| &choice.order).for_each(|&j| is_taken[j] = true);
-    let left: Vec<usize> = (0..is_taken.len()).filter(|&j| !is_taken[j]).collect();
-    data.links_of(&evenly(&left, TESTED))
+    let remaining: Vec<usize> = (0..is_taken.len()).filter(|&j| !is_taken[j]).collect();
+    data.links_of(&evenly(&remaining, TESTED))
 }
 
 impl Plan {

@@ -141,9 +141,9 @@ pub(super) fn read_powers(
     if flat && receivers != 1 {
         return reject(rssi.py(), &format!("rssi has one axis, but there are {receivers} receivers; give [M, R]"));
     }
-    let all = numbers::<f64>("rssi", rssi, shape)?;
+    let table = numbers::<f64>("rssi", rssi, shape)?;
     let (mut samples, mut powers) = (Vec::new(), Vec::new());
-    for (k, dbm) in all.iter().enumerate().filter(|(_, dbm)| !dbm.is_nan()) {
+    for (k, dbm) in table.iter().enumerate().filter(|(_, dbm)| !dbm.is_nan()) {
         let (i, receiver) = (k / receivers, k % receivers);
         // Checks the rounded power: a finite f64 may be infinite as `Real`.
         if let Some(fault) = power_fault(*dbm as Real as f64) {
@@ -182,8 +182,8 @@ pub(super) fn read_channels(
     if "fiu".contains(&array.getattr("dtype")?.getattr("kind")?.extract::<String>()?) {
         return reject(py, &format!("csi {}", real_channels_fault(&array_shape(&array)?)));
     }
-    let all = input_array::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
-    let antennas = all.shape()[1];
-    let gains = all.as_slice().map_err(|e| input_error(py, &e.to_string()))?;
+    let array = input_array::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
+    let antennas = array.shape()[1];
+    let gains = array.as_slice().map_err(|e| input_error(py, &e.to_string()))?;
     Ok(Channels { antennas, frequencies_hz, gains: gains.iter().map(|gain| [gain.re, gain.im]).collect() }.into())
 }

@@ -34,9 +34,9 @@ impl Split for Strategy {
             (Some(test), None) => (Vec::new(), test),
             _ => Default::default(),
         };
-        let mut all: Vec<usize> = [&train, &validation, &test].into_iter().flatten().copied().collect();
-        all.sort_unstable();
-        if let Some([twice, _]) = all.array_windows().find(|[a, b]| a == b) {
+        let mut links: Vec<usize> = [&train, &validation, &test].into_iter().flatten().copied().collect();
+        links.sort_unstable();
+        if let Some([twice, _]) = links.array_windows().find(|[a, b]| a == b) {
             return Err(Error::Config(format!("split: link {twice} is in two sets")));
         }
         Ok(Partition { train, validation, test })

@@ -84,16 +84,17 @@ impl MeasuredPowers<'_> {
 
     /// Scores random subsets of `count` receivers, and all receivers, on both sets of transmitters.
     fn reference_choices(&self, count: usize, seed: u64) -> [PlacedReceivers; 2] {
-        let all: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
-        let draws = random_subsets(all.len(), count, RANDOM, seed);
+        let receivers: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
+        let draws = random_subsets(receivers.len(), count, RANDOM, seed);
         let mean_coverage = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| subset_coverage(powers, subset)));
         let random = (
             format!("random, mean of {RANDOM} (seed {seed})"),
             mean_coverage(&self.fitting),
             mean_coverage(&self.held_out),
         );
-        let whole = [&self.fitting, &self.held_out].map(|powers| subset_coverage(powers, &all));
-        [random, (format!("all {} receivers", all.len()), whole[0], whole[1])].map(|(name, train, coverage)| {
+        let [fitting, held_out] = [&self.fitting, &self.held_out].map(|powers| subset_coverage(powers, &receivers));
+        let all = (format!("all {} receivers", receivers.len()), fitting, held_out);
+        [random, all].map(|(name, train, coverage)| {
             let cells = vec![fixed(train, 2), fixed(coverage, 2), String::new()];
             PlacedReceivers { short: "", name, receivers: Vec::new(), coverage, cells }
         })
