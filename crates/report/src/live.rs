@@ -71,8 +71,8 @@ pub struct PartitionedData<'a> {
     pub links: &'a [usize],
 }
 
-/// Returns the room: receivers, bounds, at most `points` surface points, and transmitter, set and score of every link.
-/// `setup` is that of the model; `means` are points that the room must contain if there are no data.
+/// Returns the room: receivers, bounds, colour tables, at most `points` surface points, and transmitter, set and score
+/// of every link. `setup` is that of the model; `means` are points that the room must contain if there are no data.
 pub fn room(
     setup: &MeasurementSetup,
     measured: Option<PartitionedData<'_>>,
@@ -81,8 +81,8 @@ pub fn room(
 ) -> TensorBundle {
     let mut tensors = TensorBundle::new(describe_room(setup, measured, means));
     for (name, colour) in [("power", sequential as fn(f64) -> [u8; 3]), ("error", |t| diverging(2.0 * t - 1.0))] {
-        let all = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
-        tensors.put_bytes(&format!("colours.{name}"), &[256, 3], all);
+        let table = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
+        tensors.put_bytes(&format!("colours.{name}"), &[256, 3], table);
     }
     if let Some(measured) = measured {
         put_data(&mut tensors, measured, points);
@@ -168,13 +168,13 @@ fn bounding_box(points: impl Iterator<Item = [Real; 3]>) -> Value {
 pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> TensorBundle {
     let mut tensors = TensorBundle::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
-    let all: Vec<_> = ensemble.members().iter().map(|model| model.gaussians(tx)).collect();
-    let primitives = || all.iter().map(|gaussians| &gaussians.primitives);
+    let activated: Vec<_> = ensemble.members().iter().map(|model| model.gaussians(tx)).collect();
+    let primitives = || activated.iter().map(|gaussians| &gaussians.primitives);
     tensors.put("means", &[n, 3], ensemble.means_from(origin).into_flattened());
     tensors.put("scales", &[n, 3], primitives().flat_map(|p| p.scales.as_flattened()).copied());
     tensors.put("quats", &[n, 4], primitives().flat_map(|p| p.quats.as_flattened()).copied());
     tensors.put("opacities", &[n, 1], primitives().flat_map(|p| &p.opacities).copied());
-    tensors.put("strengths", &[n, 1], all.iter().flat_map(strengths));
+    tensors.put("strengths", &[n, 1], activated.iter().flat_map(strengths));
     tensors
 }
 

@@ -74,7 +74,8 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     render("run.html", page)
 }
 
-/// Creates a self-contained page with the interactive room of a run only, and whether its model predicts in the page.
+/// Creates a self-contained page with only the interactive room of a run. Also returns whether its model predicts in
+/// the page.
 ///
 /// # Errors
 /// Data without transmitter positions or without a test set, which a room cannot show.
@@ -109,7 +110,8 @@ fn pipeline_text(run: &LoadedRun<'_>) -> Result<String> {
     Ok(if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()?)
 }
 
-/// Returns the name, number of Gaussians and page of each member of an ensemble; none for the model of one run.
+/// Returns the name, folder and number of Gaussians of each member of an ensemble, and its page if it is a run of a
+/// sweep; none for the model of one run.
 fn member_pages(run: &LoadedRun<'_>) -> Vec<Value> {
     let models = run.model.names().iter().zip(run.model.members());
     let member = |(folder, (name, model)): (&String, (&String, &Model))| {

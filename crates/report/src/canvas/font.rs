@@ -90,10 +90,10 @@ pub fn wrap_text(text: &str, width: f64) -> Vec<String> {
 fn keep_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
     for k in 1..lines.len() {
         let is_number = lines[k].starts_with(|c: char| c.is_ascii_digit() || "=-−+.".contains(c));
-        let Some((rest, name)) = lines[k - 1].rsplit_once(' ').filter(|_| is_number) else { continue };
-        let (rest, joined) = (rest.to_owned(), format!("{name} {}", lines[k]));
+        let Some((start, name)) = lines[k - 1].rsplit_once(' ').filter(|_| is_number) else { continue };
+        let (start, joined) = (start.to_owned(), format!("{name} {}", lines[k]));
         if text_width(&joined) <= width {
-            (lines[k - 1], lines[k]) = (rest, joined);
+            (lines[k - 1], lines[k]) = (start, joined);
         }
     }
     lines

@@ -52,7 +52,7 @@ fn draw_shapes(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Tran
     }
 }
 
-/// Converts a path to one of `tiny_skia`; `None` if it has no visible extent.
+/// Converts a path to one of `tiny_skia`; `None` if it has no segment.
 fn to_skia_path(path: &VectorPath) -> Option<skia::Path> {
     let mut builder = skia::PathBuilder::new();
     let short = |[x, y]: Point| (x as f32, y as f32);

@@ -90,9 +90,9 @@ impl PlotArea {
     /// pixels, so that the ticks computed here are key points with the labels computed here.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
         let (across, up) = (self.right - self.left, self.bottom - self.top);
-        let fit = |all: &[Tick]| {
+        let fit = |ticks: &[Tick]| {
             let reach = |tick: &Tick| (across * self.x.fraction(tick.0), text_width(&tick.1) / 2.0);
-            all.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
+            ticks.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
         let (x_keys, x_labels) = self.x.keyed_ticks(across, &fit);
         let (y_keys, y_labels) = self.y.keyed_ticks(up, &|_| true);
@@ -221,7 +221,7 @@ pub(crate) type Tick = (f64, String);
 /// other, otherwise the sparsest.
 pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -> bool) -> Vec<Tick> {
     let decades = high - low;
-    let all: Vec<Vec<Tick>> = if log && decades >= 0.5 {
+    let candidates: Vec<Vec<Tick>> = if log && decades >= 0.5 {
         let digits: [&[f64]; 4] = [&[1.0, 1.5, 2.0, 3.0, 5.0, 7.0], &[1.0, 2.0, 5.0], &[1.0, 3.0], &[1.0]];
         let densest = if decades > 3.5 { 3 } else { usize::from(decades > 1.5) };
         digits[densest..].iter().map(|digits| power_ticks((low, high), digits)).collect()
@@ -230,8 +230,8 @@ pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -
         let tick = |v: f64| (if log { v.log10() } else { v }, tick_label(v));
         [6.0, 4.0, 2.0].iter().map(|&n| round_multiples(from, to, n).into_iter().map(tick).collect()).collect()
     };
-    let sparsest = all.last().cloned().unwrap_or_default();
-    all.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
+    let sparsest = candidates.last().cloned().unwrap_or_default();
+    candidates.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
 }
 
 /// Returns ticks at the powers of ten times each of `digits`, between two logarithms; every second power over more than
@@ -246,16 +246,16 @@ fn power_ticks((low, high): (f64, f64), digits: &[f64]) -> Vec<Tick> {
         .collect()
 }
 
-/// Returns multiples of 1, 2 or 5 times a power of ten, four to nine of them.
+/// Returns the multiples of 1, 2 or 5 times a power of ten between two ends, two to seven of them.
 pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     round_multiples(low, high, 6.0)
 }
 
 /// Returns at most `most` of the [`linear_ticks`], evenly chosen, within the ends.
 pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
-    let all = linear_ticks(low, high);
-    let stride = all.len().div_ceil(most).max(1);
-    all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
+    let ticks = linear_ticks(low, high);
+    let stride = ticks.len().div_ceil(most).max(1);
+    ticks.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
 /// Returns the multiples of 1, 2 or 5 times a power of ten between two ends: at most about `tick_count`.

@@ -66,8 +66,8 @@ pub(crate) struct ChartLine {
     pub(crate) name: LineName,
     /// Style of the line.
     pub(crate) style: Style,
-    /// Points from left to right, or around an area. Infinite values are drawn at the end of the axis; others are
-    /// omitted.
+    /// Points from left to right, or around an area. An infinite horizontal coordinate is drawn at the end of the axis;
+    /// other points that are not finite are omitted.
     pub(crate) points: Vec<(f64, f64)>,
     /// Positions of marks.
     pub(crate) marks: Vec<(f64, f64)>,
@@ -162,18 +162,16 @@ impl Chart {
                 }
             }
         }
-        let mut marked: Vec<Point> = Vec::new();
-        let mut select = |line: &ChartLine| {
+        let mut marks: Vec<Vec<Point>> = Vec::new();
+        for line in &self.lines {
+            let mut points = on_canvas(&line.marks);
             // Marks at all points are data. Marks at a few points distinguish lines: those on another mark are left out.
-            let are_data = line.marks.len() >= line.points.len();
-            let is_free =
-                |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > MARK_DISTANCE);
-            let mut marks = on_canvas(&line.marks);
-            marks.retain(|at| are_data || is_free(at, &marked));
-            marked.extend(&marks);
-            marks
-        };
-        let marks: Vec<Vec<Point>> = self.lines.iter().map(&mut select).collect();
+            if line.marks.len() < line.points.len() {
+                let is_apart = |at: &Point, [x, y]: &Point| (x - at[0]).hypot(y - at[1]) > MARK_DISTANCE;
+                points.retain(|at| marks.iter().flatten().all(|mark| is_apart(at, mark)));
+            }
+            marks.push(points);
+        }
         for (line, marks) in self.lines.iter().zip(&marks).rev() {
             marks.iter().for_each(|at| line.style.draw_mark(canvas, *at));
         }
@@ -326,13 +324,13 @@ pub(crate) fn decimate_steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 /// Returns the first, last, lowest and highest of at least one point, in their order and without repetition.
 fn extremes(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let by_height = |a: &usize, b: &usize| points[*a].1.total_cmp(&points[*b].1);
-    let all = 0..points.len();
-    let mut kept = vec![0, points.len() - 1];
-    kept.extend(all.clone().min_by(by_height));
-    kept.extend(all.max_by(by_height));
-    kept.sort_unstable();
-    kept.dedup();
-    kept.into_iter().map(|k| points[k]).collect()
+    let indices = 0..points.len();
+    let mut selected = vec![0, points.len() - 1];
+    selected.extend(indices.clone().min_by(by_height));
+    selected.extend(indices.max_by(by_height));
+    selected.sort_unstable();
+    selected.dedup();
+    selected.into_iter().map(|k| points[k]).collect()
 }
 
 #[cfg(test)]

@@ -84,8 +84,8 @@ impl LocationMap<'_> {
         let edge = |axis: usize, k: usize| first[axis] + (k as f64 - 0.5) * step;
         let inside = |axis: usize| {
             let is_in = |k: &usize| edge(axis, *k) >= low[axis] && edge(axis, k + 1) <= high[axis];
-            let all: Vec<usize> = (0..sizes[axis]).filter(is_in).collect();
-            all.first().map_or(0..0, |start| *start..start + all.len())
+            let cells: Vec<usize> = (0..sizes[axis]).filter(is_in).collect();
+            cells.first().map_or(0..0, |start| *start..start + cells.len())
         };
         let (columns, rows) = (inside(0), inside(1));
         if columns.is_empty() || rows.is_empty() {
@@ -93,6 +93,7 @@ impl LocationMap<'_> {
         }
         let [left, bottom] = plan.project([edge(0, columns.start), edge(1, rows.start)]);
         let [right, top] = plan.project([edge(0, columns.end), edge(1, rows.end)]);
+        // The square root keeps low densities visible.
         let colour = |v: &f32| {
             let [r, g, b] = sequential(f64::from(*v).sqrt());
             [r, g, b, (255.0 * f64::from(*v).sqrt().min(1.0)) as u8]

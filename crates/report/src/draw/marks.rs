@@ -122,7 +122,8 @@ impl Style {
         Self { colour, width, stroke, marker: None, hollow: false }
     }
 
-    /// Returns the style of variant `k`: eight colours with eight markers, then the same dashed.
+    /// Returns the style of variant `k`: eight colours with eight markers, then the same dashed with
+    /// hollow marks, and so on for each stroke.
     pub(crate) fn variant(k: usize) -> Self {
         Self {
             colour: Colour::hex(COLOURS[k % COLOURS.len()]),

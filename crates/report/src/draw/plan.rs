@@ -293,8 +293,8 @@ impl Heatmap<'_> {
         wrap_text(&note, width * TEXT / SMALL)
     }
 
-    /// Returns the values of the first and last colour: the finite range of values, widened if they are equal; a full turn
-    /// for angles.
+    /// Returns the values of the first and last colour: the finite range of values, widened if they are equal; 0 to 1
+    /// without finite values; a full turn for angles.
     fn colour_range(&self) -> (f64, f64) {
         if self.colours == Palette::Cyclic {
             return (0.0, 360.0);
@@ -349,7 +349,8 @@ impl Heatmap<'_> {
         }
     }
 
-    /// Draws some of the vectors as arrows, about [`ARROWS`] units apart.
+    /// Draws some of the vectors as arrows, about [`ARROWS`] units apart. An arrow grows with its vector up to length
+    /// 1; short vectors have a quarter of that, and those below 0.001 no arrow.
     fn draw_arrows(&self, canvas: &mut Canvas, plan: &FloorPlan) {
         if self.arrows.len() != self.values.len() {
             return;

@@ -139,19 +139,23 @@ impl RoomFigure {
         for (x, opacity) in [(6.0, 0.1), (17.0, 0.5), (30.0, 1.0)] {
             self.draw_gaussian(&mut circles, [x, 7.0], opacity);
         }
-        let mut all = vec![Symbol { drawing: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
+        let mut symbols = vec![Symbol { drawing: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
         let (mut dots, mut plus, mut cross) = (VectorPath::default(), VectorPath::default(), VectorPath::default());
         [[3.0, 5.0], [9.0, 7.0], [4.0, 10.0]].iter().for_each(|dot| dots.add_line(&[*dot; 2]));
         plus.add_plus([6.0, 7.0], 3.0);
         cross.add_cross([6.0, 7.0], 2.5);
         if self.has_points {
-            all.push(symbol("point cloud", dots, Paint { round: true, ..Paint::stroke(Colour::hex(0xaa_b0ba), 1.8) }));
+            symbols.push(symbol(
+                "point cloud",
+                dots,
+                Paint { round: true, ..Paint::stroke(Colour::hex(0xaa_b0ba), 1.8) },
+            ));
         }
-        all.push(symbol("training transmitters", plus, Paint::stroke(TRAINING, 1.4)));
+        symbols.push(symbol("training transmitters", plus, Paint::stroke(TRAINING, 1.4)));
         if self.has_test {
-            all.push(symbol("test transmitters", cross, Paint::stroke(TEST, 1.4)));
+            symbols.push(symbol("test transmitters", cross, Paint::stroke(TEST, 1.4)));
         }
-        all.push(self.receiver.map_or_else(
+        symbols.push(self.receiver.map_or_else(
             || {
                 let mut drawing = Canvas::new(14.0, SYMBOL);
                 draw_receiver(&mut drawing, [7.0, SYMBOL / 2.0]);
@@ -159,7 +163,7 @@ impl RoomFigure {
             },
             ReceiverArrow::symbol,
         ));
-        all
+        symbols
     }
 
     /// Returns a remark about a missing or thinned point cloud; empty if all its points are drawn.

@@ -268,12 +268,12 @@ impl Ruler {
     /// Returns the labels of round values with positions from 0 to 1, in at most so many intervals; the ends of the
     /// axis have priority.
     fn ticks(&self, step: f64, intervals: f64) -> Vec<(String, f64)> {
-        let all = self.multiples(step);
-        let whole = all.len().saturating_sub(1).max(1);
-        let stride = (1..=whole).find(|s| whole.is_multiple_of(*s) && (whole / s) as f64 <= intervals).unwrap_or(whole);
+        let values = self.multiples(step);
+        let gaps = values.len().saturating_sub(1).max(1);
+        let stride = (1..=gaps).find(|s| gaps.is_multiple_of(*s) && (gaps / s) as f64 <= intervals).unwrap_or(gaps);
         let number = |v: f64| if self.unit.is_empty() { v.abs() } else { v };
         let tick = |v: f64| (format!("{}{}", number(v), self.unit).replace('-', "−"), self.share(v).clamp(0.0, 1.0));
-        all.into_iter().step_by(stride).map(tick).collect()
+        values.into_iter().step_by(stride).map(tick).collect()
     }
 }
 

@@ -87,8 +87,8 @@ fn example_charts(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     chosen.iter().map(example).collect()
 }
 
-/// Draws channels of one number each as dots on the complex plane, measured and predicted joined; `None` without a finite
-/// channel.
+/// Draws channels of one number each as dots on the complex plane, measured and predicted joined; `None` if all
+/// channels are zero or not finite.
 fn complex_plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
     super::examples::for_each_link(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {

@@ -215,7 +215,7 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let shown = select_best(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
     let sorted = [models, shown].concat();
     let ends = axis_ends(&headline, &sorted);
-    let (mut lines, mut members) = (Vec::new(), Some("members"));
+    let (mut lines, mut members) = (Vec::new(), Some("members")); // all members share one name
     for (name, sorted) in &sorted {
         let stride = sorted.len().div_ceil(MOST_POINTS).max(1);
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
@@ -235,8 +235,9 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     draw_figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
-/// Returns the ends of the axis of a metric for these `sorted` values: its best value, or natural limits, or nearly all
-/// values of each predictor.
+/// Returns the ends of the axis of a metric for these `sorted` values, rounded outwards. One end is the best possible
+/// value. The other contains all values of a metric such as SSIM, down to minus the best, or a share of [`INSIDE`] of
+/// each predictor for an error. Without a best possible value, only the lowest values beyond that share are outside.
 fn axis_ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match (headline.best, headline.higher) {

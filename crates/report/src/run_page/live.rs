@@ -100,8 +100,8 @@ fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let most = OBSERVATIONS.min(BYTES / bytes_per_link.max(1)).max(1);
     let mut test: Vec<(usize, f64)> = scored_links(run).collect();
     test.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let all: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
-    let mut chosen = evenly(&all, most);
+    let sorted: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
+    let mut chosen = evenly(&sorted, most);
     chosen.extend(median_link(run));
     chosen.sort_unstable();
     chosen.dedup();
@@ -118,8 +118,8 @@ fn median_link(run: &LoadedRun<'_>) -> Option<usize> {
 
 /// Returns the links on the page, ascending: the `chosen` ones, and others evenly.
 fn page_links(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
-    let all: Vec<usize> = (0..run.data.len()).collect();
-    let mut shown = [&evenly(&all, LINKS)[..], chosen].concat();
+    let links: Vec<usize> = (0..run.data.len()).collect();
+    let mut shown = [&evenly(&links, LINKS)[..], chosen].concat();
     shown.sort_unstable();
     shown.dedup();
     shown
@@ -147,7 +147,7 @@ fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
         "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
         "training_limit_m": run.model.training_limit(),
-        "moments": [],
+        "snapshots": [],
     }]);
     tensors
 }
@@ -189,9 +189,9 @@ fn measured_images(data: &Dataset, link: usize) -> Vec<Image> {
     if !data.task().is_scalar {
         return vec![data.image(link)];
     }
-    let mut all = vec![Image { pixels: vec![Real::NAN], ..data.image(link) }; data.scene.receivers.len()];
+    let mut images = vec![Image { pixels: vec![Real::NAN], ..data.image(link) }; data.scene.receivers.len()];
     for other in data.links_of(&[data.links[link].location]) {
-        all[data.links[other].receiver] = data.image(other);
+        images[data.links[other].receiver] = data.image(other);
     }
-    all
+    images
 }

@@ -99,8 +99,8 @@ fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
 fn draw_scatter(pairs: &[PowerPair], unit: &str) -> Option<(&'static str, String)> {
     pairs.first()?;
     let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|pair| (pair.measured, pair.predicted)).collect();
-    let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
-    let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+    let powers = || dots.iter().flat_map(|(a, b)| [*a, *b]);
+    let (low, high) = (powers().fold(f64::INFINITY, f64::min), powers().fold(f64::NEG_INFINITY, f64::max));
     let margin = (0.04 * (high - low)).max(1.0);
     let ends = (low - margin, high + margin);
     let lines = vec![

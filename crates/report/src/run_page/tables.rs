@@ -143,9 +143,9 @@ fn receiver_cells(predictors: &[(&String, &[f64])], samples: &[usize], higher: b
     summaries.iter().flat_map(cells).collect()
 }
 
-/// Formats `value` with the mark `best` if none of `all` is better, otherwise no mark.
-fn marked_number(value: f64, mut all: impl Iterator<Item = f64>, higher: bool) -> (String, &'static str) {
-    let is_best = value.is_finite() && all.all(|other| !(if higher { other > value } else { other < value }));
+/// Formats `value` with the mark `best` if it is finite and none of `values` is better, otherwise no mark.
+fn marked_number(value: f64, mut values: impl Iterator<Item = f64>, higher: bool) -> (String, &'static str) {
+    let is_best = value.is_finite() && values.all(|other| !(if higher { other > value } else { other < value }));
     (number(value), if is_best { "best" } else { "" })
 }
 

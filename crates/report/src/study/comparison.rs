@@ -15,7 +15,7 @@ pub(super) const TRAINED_ON: &str = "trained_on";
 /// Key of the share b of the model in its predictions, which is not a metric.
 pub(super) const SHARE: &str = "share";
 
-/// Type of a row.
+/// Type of a row, in the order of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) enum RowKind {
     /// Trained models.
@@ -114,8 +114,8 @@ pub(super) fn is_time(metric: &MetricRow) -> bool {
 }
 
 impl ComparisonRow<'_> {
-    /// Returns the values of the runs that have one and are not NaN; training time only of variants, and training sets only
-    /// of predictors trained here.
+    /// Returns the values of the runs that have one and are not NaN; training time and share only of variants, and
+    /// training sets only of predictors trained here.
     pub(super) fn values(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Vec<f64> {
         let value = |run: &&Record| match statistic {
             SummaryStatistic::Whole if metric.key == TRAINING => {
@@ -205,8 +205,8 @@ impl<'a> Comparison<'a> {
         ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || self.has_one_machine())
     }
 
-    /// Returns the row with a label, or else the first with this label of its axis, such as `Mine` for `pruners Mine`; `None`
-    /// without one.
+    /// Returns the row with a label, or else the first variant that has it after the name of its axis, such as `pruners
+    /// Mine` for `Mine`; `None` without one.
     pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
         let without_axis = |row: &&ComparisonRow<'_>| {
             row.kind == RowKind::Variant && row.label.split_once([' ', '=']).is_some_and(|(_, end)| end == label)
@@ -230,29 +230,30 @@ impl<'a> Comparison<'a> {
             None => (name, None),
         };
         let metric = self.metric(key)?;
-        let has = statistics(metric);
-        let statistic = wanted.unwrap_or(has[0]);
-        has.contains(&statistic).then_some((metric, statistic))
+        let available = statistics(metric);
+        let statistic = wanted.unwrap_or(available[0]);
+        available.contains(&statistic).then_some((metric, statistic))
     }
 
     /// Returns warnings about scores that are not finite, which means omit.
     pub(super) fn missing_score_warnings(&self) -> Vec<String> {
-        let mut all = Vec::new();
+        let mut warnings = Vec::new();
         for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
             let without = |run: &&&Record| run.scores.value(row.predictor, &metric.key).is_some_and(f64::is_nan);
             let count = row.runs.iter().filter(without).count();
             if count > 0 {
                 let (key, label, runs) = (&metric.key, row.label, row.runs.len());
-                all.push(format!("{key} of {label} is not finite in {count} of {runs} runs; means omit these runs."));
+                warnings
+                    .push(format!("{key} of {label} is not finite in {count} of {runs} runs; means omit these runs."));
             }
         }
-        all
+        warnings
     }
 
     /// Returns warnings about baselines that differ between runs of a seed: a row can show only one of them.
     pub(super) fn ambiguous_baseline_warnings(&self) -> Vec<String> {
         let key = self.setting.headline().key;
-        let mut all = Vec::new();
+        let mut warnings = Vec::new();
         for row in self.rows.iter().filter(|row| [RowKind::Baseline, RowKind::Oracle].contains(&row.kind)) {
             let differs = |run: &&Record| {
                 let shown = row.runs.iter().find(|shown| shown.facts.seed == run.facts.seed)?;
@@ -260,14 +261,14 @@ impl<'a> Comparison<'a> {
                 ((a? - b?).abs() > 1e-6).then_some((run.facts.seed, shown.folder.display()))
             };
             if let Some((seed, folder)) = self.setting.runs().find_map(|run| differs(&run)) {
-                all.push(format!(
+                warnings.push(format!(
                     "{} differs between the runs of seed {seed} (settings or validation set); the tables show the value of \
                      {folder}.",
                     row.label
                 ));
             }
         }
-        all
+        warnings
     }
 
     /// Returns the groups of variants with bit-identical models, by label.
@@ -289,7 +290,7 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// Returns a row per baseline, sorted by type. A baseline has the same numbers in all variants of a seed.
+/// Returns a row per baseline, sorted by type, with the first run of each seed.
 fn baseline_rows(setting: &Setting) -> Vec<ComparisonRow<'_>> {
     let mut rows: Vec<ComparisonRow<'_>> = Vec::new();
     for run in setting.runs() {
@@ -353,8 +354,8 @@ pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'
     for (comparison, reference) in comparisons {
         let setting = comparison.setting;
         let simulated = setting.simulated.to_string();
-        let mut put = |row: &ComparisonRow<'_>, metric: &MetricRow, rest: [&str; 7]| {
-            let [statistic, value, std, n, reference, low, high] = rest;
+        let mut put = |row: &ComparisonRow<'_>, metric: &MetricRow, fields: [&str; 7]| {
+            let [statistic, value, std, n, reference, low, high] = fields;
             let MetricRow { key, unit, .. } = metric;
             let (title, kind) = (&setting.title, row.kind.name());
             lines.put([title, &simulated, row.label, kind, key, unit, statistic, value, std, n, reference, low, high]);

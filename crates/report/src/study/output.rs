@@ -124,7 +124,7 @@ fn write_list(out: &Path, files: BTreeSet<String>) -> Result<()> {
 
 /// Returns the names and texts of all documents: `report.tex` with one file per table, then `report.html`.
 fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
-    let (mut all, mut sections) = (Vec::new(), Vec::new());
+    let (mut documents, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {
         let (mut printed, mut tables) = (Vec::new(), Vec::new());
         for table in &section.tables {
@@ -132,7 +132,7 @@ fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
             let chosen = section.chosen.as_ref().filter(|chosen| chosen.name == table.name);
             let latex = chosen.map_or_else(|| t.clone(), |chosen| table_context(chosen, &mut Vec::new()));
             let context = context! { t => latex, setting => section.title.clone(), name => section.name.clone() };
-            all.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
+            documents.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
             tables.push(t);
         }
         sections.push(context! { tables, ..Serde(section) });
@@ -144,9 +144,9 @@ fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
         version => env!("CARGO_PKG_VERSION"),
     };
     for name in ["report.tex", "report.html"] {
-        all.push((name.to_owned(), render(name, context.clone())?));
+        documents.push((name.to_owned(), render(name, context.clone())?));
     }
-    Ok(all)
+    Ok(documents)
 }
 
 /// Returns the table for a template, with groups of neighbouring columns of one title and of lines of one kind. `printed` are the

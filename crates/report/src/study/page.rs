@@ -61,7 +61,7 @@ pub(super) struct Section {
 }
 
 impl StudyPage {
-    /// Creates the page of all settings of a study.
+    /// Creates the page of all settings of a study. Returns an error for an unknown name in `options`.
     pub(super) fn new(study: &Study, options: &ReportOptions, observer: &mut dyn Observer) -> Result<Self> {
         let comparisons: Vec<Comparison<'_>> = study.settings.iter().map(Comparison::new).collect();
         let reference = options.reference.as_deref();

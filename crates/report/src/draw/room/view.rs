@@ -87,22 +87,22 @@ impl RoomView {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
         canvas.letters.size = self.text;
         self.draw_faces(&mut canvas);
-        let (low, high, o) = (self.low, self.high, self.origin);
+        let (low, high, origin) = (self.low, self.high, self.origin);
         let at = |x: f64, y: f64, z: f64| self.project([x, y, z]);
         // Larger text leaves room for fewer numbers.
         let most = ((60.0 / self.text) as usize).clamp(2, 6);
-        let ticks = [0, 1, 2].map(|k| few_ticks(low[k] - o[k], high[k] - o[k], most));
+        let ticks = [0, 1, 2].map(|k| few_ticks(low[k] - origin[k], high[k] - origin[k], most));
         let mut grid = VectorPath::default();
         let mut mark = |at: Point, shift, anchor, words: &str| self.draw_label(&mut canvas, at, shift, anchor, words);
-        for (x, words) in ticks[0].iter().map(|v| (v + o[0], tick_label(*v))) {
+        for (x, words) in ticks[0].iter().map(|v| (v + origin[0], tick_label(*v))) {
             grid.add_line(&[at(x, low[1], low[2]), at(x, high[1], low[2]), at(x, high[1], high[2])]);
             mark(at(x, low[1], low[2]), [-0.3, 1.15], Anchor::Middle, &words);
         }
-        for (y, words) in ticks[1].iter().map(|v| (v + o[1], tick_label(*v))) {
+        for (y, words) in ticks[1].iter().map(|v| (v + origin[1], tick_label(*v))) {
             grid.add_line(&[at(high[0], y, low[2]), at(low[0], y, low[2]), at(low[0], y, high[2])]);
             mark(at(high[0], y, low[2]), [0.55, 1.05], Anchor::Start, &words);
         }
-        for (z, words) in ticks[2].iter().map(|v| (v + o[2], tick_label(*v))) {
+        for (z, words) in ticks[2].iter().map(|v| (v + origin[2], tick_label(*v))) {
             grid.add_line(&[at(low[0], low[1], z), at(low[0], high[1], z), at(high[0], high[1], z)]);
             mark(at(low[0], low[1], z), [-0.5, 0.33], Anchor::End, &words);
         }
@@ -126,16 +126,17 @@ impl RoomView {
 
     /// Draws the titles of the axes, relative to the origin of their numbers.
     fn draw_titles(&self, canvas: &mut Canvas) {
-        let (low, o) = (self.low, self.origin);
+        let (low, origin) = (self.low, self.origin);
         let middle = [0, 1, 2].map(|k| f64::midpoint(low[k], self.high[k]));
-        let title = |k: usize| match o[k] {
+        let title = |k: usize| match origin[k] {
             0.0 => format!("{} [m]", ["x", "y", "z"][k]),
             from => format!("{} − {from} [m]", ["x", "y", "z"][k]),
         };
         let at = self.project([middle[0], low[1], low[2]]);
         self.draw_label(canvas, at, [-1.3, 2.6], Anchor::Middle, &title(0));
         // A long title goes below the numbers.
-        let (shift, anchor) = if o[1] == 0.0 { ([2.3, 2.3], Anchor::Middle) } else { ([-0.5, 3.9], Anchor::Start) };
+        let (shift, anchor) =
+            if origin[1] == 0.0 { ([2.3, 2.3], Anchor::Middle) } else { ([-0.5, 3.9], Anchor::Start) };
         self.draw_label(canvas, self.project([self.high[0], middle[1], low[2]]), shift, anchor, &title(1));
         let [x, y] = self.project([low[0], low[1], middle[2]]);
         canvas.upright_text([x - 2.5 * self.text, y], title(2));

@@ -36,15 +36,15 @@ pub(super) fn transmitter_views(run: &LoadedRun<'_>) -> Option<Value> {
     if sources.is_empty() {
         return None;
     }
-    let all = sources.len();
+    let total = sources.len();
     sources.truncate(SHOWN);
     let [(plan, outside), (side, hidden)] = [[0, 1], [0, 2]].map(|axes| draw_view(run, &sources, axes));
     Some(context! {
         plan => plan.svg("map", "top view of the room"),
         side => side.svg("map", "side view of the room"),
         legend => draw_legend(!run.data.scene.points.is_empty()).svg("legend", "legend of the marks"),
-        count => grouped(all as i64),
-        shown => (all > sources.len()).then(|| grouped(sources.len() as i64)),
+        count => grouped(total as i64),
+        shown => (total > sources.len()).then(|| grouped(sources.len() as i64)),
         outside => outside.max(hidden),
     })
 }
@@ -52,7 +52,7 @@ pub(super) fn transmitter_views(run: &LoadedRun<'_>) -> Option<Value> {
 /// Returns the virtual transmitters of all members in the world frame, strongest first, without those that are not finite.
 fn sources_by_strength(run: &LoadedRun<'_>) -> Vec<MappedSource> {
     let members = run.model.members();
-    let mut all: Vec<([f64; 3], f64)> = members
+    let mut sources: Vec<([f64; 3], f64)> = members
         .iter()
         .flat_map(|model| {
             let origin = model.stages.origin;
@@ -61,10 +61,10 @@ fn sources_by_strength(run: &LoadedRun<'_>) -> Vec<MappedSource> {
         })
         .filter(|(position, s)| s.is_finite() && position.iter().all(|v| v.is_finite()))
         .collect();
-    all.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let most = all.first().map_or(0.0, |strongest| strongest.1);
+    sources.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let most = sources.first().map_or(0.0, |strongest| strongest.1);
     let db = |s: f64| if s > 0.0 && most > 0.0 { 20.0 * (s / most).log10() } else { f64::NEG_INFINITY };
-    all.into_iter().map(|(position, s)| MappedSource { position, db: db(s) }).collect()
+    sources.into_iter().map(|(position, s)| MappedSource { position, db: db(s) }).collect()
 }
 
 /// Draws the view of two `axes`, and returns it with the number of transmitters outside its frame.
@@ -100,7 +100,8 @@ fn wall_paint() -> Paint {
     Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) }
 }
 
-/// Returns the bounds of the room and its surroundings with mirror images, except the few farthest.
+/// Returns the frame around the walls and the virtual transmitters at `positions`, except the outermost 2 % at each end
+/// of an axis.
 fn view_frame(walls: [[f64; 2]; 2], positions: &[[f64; 2]]) -> [[f64; 2]; 2] {
     let ends = |q: f64| [0, 1].map(|k| quantile(&sorted(positions.iter().map(|p| p[k])), q));
     FloorPlan::frame(walls.into_iter().chain([ends(0.02), ends(0.98)]))

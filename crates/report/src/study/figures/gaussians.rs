@@ -99,10 +99,10 @@ fn seed_range(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     for (step, n) in variant.runs.iter().flat_map(Record::gaussians_curve) {
         at.entry(step as u64).or_default().push(n);
     }
-    at.retain(|step, all| *step as f64 <= end && all.len() == variant.runs.len());
-    let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, all)| (*step as f64, f(all))).collect();
-    let extreme = |f: fn(f64, f64) -> f64| fold(&|all| all.iter().copied().reduce(f).unwrap_or(f64::NAN));
-    [extreme(f64::min), fold(&|all| all.iter().sum::<f64>() / all.len() as f64), extreme(f64::max)]
+    at.retain(|step, counts| *step as f64 <= end && counts.len() == variant.runs.len());
+    let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, counts)| (*step as f64, f(counts))).collect();
+    let extreme = |f: fn(f64, f64) -> f64| fold(&|counts| counts.iter().copied().reduce(f).unwrap_or(f64::NAN));
+    [extreme(f64::min), fold(&|counts| counts.iter().sum::<f64>() / counts.len() as f64), extreme(f64::max)]
 }
 
 /// Returns some points on the curve. `shift` in 0..1 selects them, so that the marks of two lines do not coincide.

@@ -91,8 +91,10 @@ fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
     let mut canvas = Canvas::new(COLUMN, bottom + 36.0 + legend.height());
     let thin = Paint::stroke(INK, 0.9);
     let x = |ms: f64| left + width * ms / longest;
-    let fit = |all: &[(f64, String)]| {
-        all.windows(2).all(|w| x(w[1].0) - x(w[0].0) > f64::midpoint(text_width(&w[0].1), text_width(&w[1].1)) + 8.0)
+    let fit = |candidates: &[(f64, String)]| {
+        candidates
+            .windows(2)
+            .all(|w| x(w[1].0) - x(w[0].0) > f64::midpoint(text_width(&w[0].1), text_width(&w[1].1)) + 8.0)
     };
     for (ms, label) in ticks((0.0, longest), false, &fit) {
         canvas.line(&[[x(ms), bottom], [x(ms), bottom + 4.0]], thin);

@@ -1,6 +1,6 @@
 //! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
-use super::shown::{CURVES, one_variant_per_method};
+use super::shown::{CURVES, is_oracle, one_variant_per_method};
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrap_text};
 use crate::draw::charts::Legend;
@@ -33,8 +33,8 @@ pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Fi
     };
     let width = canvas.width / columns as f64;
     let partition = setting.variants[0].runs[0].partition(data)?;
-    let all: Vec<&Snapshot> = clouds.iter().collect();
-    let room = RoomFigure::new(data, &partition, &all, TEXT * COLUMN / width);
+    let cloud_refs: Vec<&Snapshot> = clouds.iter().collect();
+    let room = RoomFigure::new(data, &partition, &cloud_refs, TEXT * COLUMN / width);
     let panels: Vec<Panel> =
         shown.iter().zip(&clouds).map(|(v, cloud)| room.draw_panel(&v.label, cloud, data)).collect();
     let mut top = 0.0;
@@ -154,9 +154,9 @@ pub(super) fn spectra_columns<'a>(
 /// Returns the columns of the best baselines by mean SSIM, without oracles and other programs, fitted again.
 fn baseline_columns<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionColumn<'a>>> {
     let (task, score) = (setting.task(), |name: &str| setting.baseline_score(name, "ssim"));
-    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
-    let all = setting.baselines().into_iter().filter(|name| !is_oracle(name) && !setting.is_external(name));
-    let mut ranked: Vec<(&str, f64)> = all.filter_map(|name| Some((name, score(name)?))).collect();
+    let is_ranked = |name: &&str| !is_oracle(setting, name) && !setting.is_external(name);
+    let candidates = setting.baselines().into_iter().filter(is_ranked);
+    let mut ranked: Vec<(&str, f64)> = candidates.filter_map(|name| Some((name, score(name)?))).collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut columns = Vec::new();
     for (name, _) in ranked.into_iter().take(MOST_BASELINES) {

@@ -52,7 +52,8 @@ fn evenly_with_ends<T: Copy>(items: &[T], count: usize) -> Vec<T> {
 }
 
 /// Removes the parts between commas that the labels of all `variants` have, and returns these; none if a label has no other
-/// part. Also removes the axis that all labels begin with, such as `method` of `method masks`, but not before a number.
+/// part, or for a single variant. Also removes the axis that all labels begin with, such as `method` of `method masks`,
+/// but not before a number.
 fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     let labels: Vec<Vec<String>> =
         variants.iter().map(|variant| variant.label.split(", ").map(str::to_owned).collect()).collect();
@@ -67,12 +68,12 @@ fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     if names.iter().any(String::is_empty) {
         (names, common) = (labels.iter().map(|parts| parts.join(", ")).collect(), String::new());
     }
-    let rest = |name: &String| {
-        let (axis, rest) = name.split_once(' ')?;
-        let is_word = rest.starts_with(char::is_alphabetic);
-        (is_word && names.iter().all(|other| other.split(' ').next() == Some(axis))).then(|| rest.to_owned())
+    let without_axis = |name: &String| {
+        let (axis, value) = name.split_once(' ')?;
+        let is_word = value.starts_with(char::is_alphabetic);
+        (is_word && names.iter().all(|other| other.split(' ').next() == Some(axis))).then(|| value.to_owned())
     };
-    let shorter: Option<Vec<String>> = names.iter().map(rest).collect();
+    let shorter: Option<Vec<String>> = names.iter().map(without_axis).collect();
     variants.iter_mut().zip(shorter.unwrap_or(names)).for_each(|(variant, name)| variant.label = name);
     common
 }
@@ -116,11 +117,11 @@ fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a Study
     let variants = |family: &VariantFamily<'a>| {
         family.variants.iter().copied().filter(|variant| is_chosen(family, variant)).collect::<Vec<_>>()
     };
-    let kept: Vec<&StudyVariant> = families.iter().flat_map(variants).collect();
-    if kept.is_empty() { setting.variants.iter().collect() } else { kept }
+    let selected: Vec<&StudyVariant> = families.iter().flat_map(variants).collect();
+    if selected.is_empty() { setting.variants.iter().collect() } else { selected }
 }
 
-/// Returns the variants of the best methods by the first metric, [`CURVES`] of them.
+/// Returns the variants of the best methods by the first metric, of at most [`CURVES`] methods.
 fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
     let headline = setting.headline();
     let best = |family: &VariantFamily<'_>| {
@@ -132,16 +133,20 @@ fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
     families.into_iter().take(CURVES).flat_map(|family| family.variants).collect()
 }
 
-/// Lists the baselines with a curve, in the order of the plan: predictions of other programs, and the best others by the first
-/// metric, oracle baselines last.
+/// Returns whether a baseline is an oracle baseline in any run.
+pub(super) fn is_oracle(setting: &Setting, name: &str) -> bool {
+    setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name))
+}
+
+/// Lists the baselines with a curve and their indices, in the order of the plan: predictions of other programs, and the
+/// [`GREY_CURVES`] best others by the first metric. Oracle baselines rank last.
 pub(super) fn grey_baselines(setting: &Setting) -> Vec<(usize, &str)> {
     let headline = setting.headline();
-    let all = setting.baselines().into_iter().enumerate();
-    let (mut shown, others): (Vec<_>, Vec<_>) = all.partition(|(_, name)| setting.is_external(name));
-    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
+    let indexed = setting.baselines().into_iter().enumerate();
+    let (mut shown, others): (Vec<_>, Vec<_>) = indexed.partition(|(_, name)| setting.is_external(name));
     let rank = |(k, name)| {
         let cost = headline.cost(setting.baseline_score(name, headline.key).unwrap_or(f64::NAN));
-        (is_oracle(name), cost, (k, name))
+        (is_oracle(setting, name), cost, (k, name))
     };
     let mut ranked: Vec<_> = others.into_iter().map(rank).collect();
     ranked.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));

@@ -76,7 +76,7 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
     Figure::from_chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// Returns one curve per strategy over N.
+/// Returns one curve per method over N.
 pub(super) fn strategy_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let families = VariantFamily::group(setting);
     families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &COSTS[N], key, true)).collect()
@@ -144,7 +144,7 @@ const COSTS: [CostAxis; 3] = [
 pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure> {
     let (cost, headline) = (&COSTS[K], setting.headline());
     // Methods that are always worse than all baselines would compress the axis.
-    let is_worst = is_worse_than_baselines(setting);
+    let is_worst = |family: &VariantFamily<'_>| is_worse_than_baselines(setting, family);
     let (left_out, families): (Vec<_>, Vec<_>) =
         ParetoComparison::of(setting)?.families.into_iter().partition(is_worst);
     let left_out: Vec<String> = left_out.into_iter().map(|family| family.name).collect();
@@ -174,20 +174,17 @@ pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure>
     )
 }
 
-/// Returns a function that returns whether all scores of a strategy are worse than the mean score of the worst baseline; false
-/// without baselines.
-fn is_worse_than_baselines(setting: &Setting) -> impl Fn(&VariantFamily<'_>) -> bool {
+/// Returns whether all scores of a method are worse than the mean score of the worst baseline; false without baselines
+/// or scores.
+fn is_worse_than_baselines(setting: &Setting, family: &VariantFamily<'_>) -> bool {
     let Headline { key, higher, .. } = setting.headline();
     let baselines = setting.baselines().into_iter().filter_map(|name| setting.baseline_score(name, key));
-    let worst = baselines.reduce(if higher { f64::min } else { f64::max });
-    let is_worse = move |score: f64| worst.is_some_and(|worst| if higher { score < worst } else { score > worst });
-    move |family: &VariantFamily<'_>| {
-        let scores: Vec<f64> = family.results.iter().flatten().map(|(score, _)| score.mean).collect();
-        !scores.is_empty() && scores.into_iter().all(&is_worse)
-    }
+    let Some(worst) = baselines.reduce(if higher { f64::min } else { f64::max }) else { return false };
+    let scores: Vec<f64> = family.results.iter().flatten().map(|(score, _)| score.mean).collect();
+    !scores.is_empty() && scores.into_iter().all(|score| if higher { score < worst } else { score > worst })
 }
 
-/// Returns the style of strategy `k`: that of its variant if it has only one.
+/// Returns the style of method `k`: that of its variant if it has only one.
 pub(super) fn method_style(family: &VariantFamily<'_>, k: usize) -> Style {
     if family.variants.len() > 1 { Style::method(k) } else { Style::variant(k) }
 }
@@ -213,7 +210,7 @@ fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str,
     line.marks = points;
     let bars = |(cost_spread, score): &(Spread, Spread)| {
         let (x, y) = (cost_spread.mean, axis_value(key, score.mean));
-        // Values near or below zero have no place on a logarithmic axis.
+        // A logarithmic axis has no values at or below zero.
         let least = if is_rate_ratio(key) { 0.1 * y } else { f64::NEG_INFINITY };
         let across = cost_spread.deviation.map(|d| [((x - d).max(0.1 * x), y), (x + d, y)]);
         let upright = score.deviation.map(|d| [(x, (y - d).max(least)), (x, y + d)]);

@@ -172,7 +172,7 @@ pub(in super::super) fn chosen_table(comparison: &Comparison<'_>, columns: &[Str
     build_table("scores", "Scores", comparison, &specs)
 }
 
-/// Returns the table of metrics that the main table omits; `None` without them.
+/// Returns the table of metrics that the main table omits, except times; `None` without them.
 pub(in super::super) fn further_table(comparison: &Comparison<'_>) -> Option<Table> {
     let first = comparison.setting.headline().key;
     let shown = |m: &&MetricRow| m.key == first || is_secondary_metric(m) || is_time(m) || WHOLE.contains(&&*m.key);
