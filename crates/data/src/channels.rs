@@ -342,9 +342,9 @@ impl ChannelMetadata {
         let Pose { position, orientation } = file.pose();
         let antennas = file.antennas.iter().map(|antenna| file.pose().to_receiver(*antenna)).collect();
         let receiver = ReceiverPlace { position, orientation, antennas };
-        let is_spaced = source.carrier_hz.is_none() && source.spacing_hz.is_none();
+        let is_band_unset = source.carrier_hz.is_none() && source.spacing_hz.is_none();
         Ok(Self {
-            frequencies_hz: file.frequencies_hz.filter(|_| is_spaced),
+            frequencies_hz: file.frequencies_hz.filter(|_| is_band_unset),
             carrier_hz: source.carrier_hz.unwrap_or(file.carrier_hz),
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
             name: if source.receiver.is_some() { "receiver".into() } else { file.name.value },

@@ -157,7 +157,7 @@ impl<'a> TableText<'a> {
         // A header names a column that holds numbers.
         let names_numbers = |&(.., names): &HeaderLine<'_>| {
             let names: Vec<&str> = split(names, mark).collect();
-            let is_named = |k: usize| !is_number(names[k]) && holds_numbers(&rows, k, &is_number);
+            let is_named = |k: usize| !is_number(names[k]) && has_numbers(&rows, k, &is_number);
             names.len() == width && (0..width).any(is_named)
         };
         let above = numbered_lines(&text).take_while(|(line, _)| *line < first_line);
@@ -355,14 +355,14 @@ fn unquoted(part: &str) -> &str {
 }
 
 /// Returns whether all cells of column `k` are numbers or empty, with at least one number.
-fn holds_numbers(rows: &[Vec<&str>], k: usize, is_number: &dyn Fn(&str) -> bool) -> bool {
+fn has_numbers(rows: &[Vec<&str>], k: usize, is_number: &dyn Fn(&str) -> bool) -> bool {
     let cells = rows.iter().filter_map(|row| row.get(k).copied());
     let mut values = cells.filter(|cell| !is_empty_cell(cell)).peekable();
     values.peek().is_some() && values.all(is_number)
 }
 
-/// Returns the separator that gives the most of the first lines one number of fields, at least two, and that number; `None`
-/// stands for blanks. Returns a comma and one field if no separator does.
+/// Returns the separator that gives the most of the first lines one number of fields, at least two, and that number; `None`:
+/// blanks. Returns a comma and one field if no separator does.
 fn detect_separator(text: &str) -> (Option<char>, usize) {
     let lines: Vec<&str> =
         numbered_lines(text).map(|(_, line)| line).filter(|line| !is_comment(line)).take(EXAMINED).collect();

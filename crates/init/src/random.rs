@@ -50,12 +50,12 @@ impl Initializer for Random {
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
         let (low, high) = scene.bounds;
         let about_middle = |p: [Real; 3]| [0, 1, 2].map(|k| p[k] + 0.5 * (low[k] + high[k]));
-        let placed = |p: [Real; 3]| match (plane.angles, plane.camera) {
+        let to_world = |p: [Real; 3]| match (plane.angles, plane.camera) {
             (Some(_), _) => in_front(p),
             (None, Some(_)) => about_middle(p),
             (None, None) => p,
         };
-        let means: Vec<[Real; 3]> = (0..self.count).map(|_| placed(draw(rng))).collect();
+        let means: Vec<[Real; 3]> = (0..self.count).map(|_| to_world(draw(rng))).collect();
         let scales = start::scales_from_neighbours(&means, self.nearest);
         Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
     }

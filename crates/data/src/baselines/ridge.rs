@@ -73,16 +73,8 @@ impl LinearMap {
         let links = fitting_samples(fitting)?;
         let xs: Vec<&[Real]> = links.iter().filter_map(|&i| data.query(i).features).collect();
         let ys: Vec<Vec<Real>> = links.iter().map(|&i| data.image(i).pixels).collect();
-        let (d, m) = (xs[0].len(), ys[0].len());
-        let mean = |width: usize, row: &dyn Fn(usize) -> Vec<f64>| {
-            let mut sum = vec![0.0; width];
-            for k in 0..links.len() {
-                sum.iter_mut().zip(row(k)).for_each(|(sum, v)| *sum += v);
-            }
-            sum.into_iter().map(|v| v / links.len() as f64).collect::<Vec<f64>>()
-        };
-        let wide = |row: &[Real]| row.iter().map(|v| *v as f64).collect::<Vec<f64>>();
-        let (x_mean, y_mean) = (mean(d, &|k| wide(xs[k])), mean(m, &|k| wide(&ys[k])));
+        let (x_mean, y_mean) = (mean_row(&xs), mean_row(&ys));
+        let (d, m) = (x_mean.len(), y_mean.len());
         let mut gram = vec![0.0; d * d];
         gram.par_chunks_exact_mut(d).enumerate().try_for_each(|(i, sums)| {
             fitting.check_stopped()?;
@@ -108,6 +100,15 @@ impl LinearMap {
         })?;
         Ok(Self { means: [x_mean, y_mean], slopes, size: [data.width, data.height] })
     }
+}
+
+/// Returns the mean of `rows`, at least one, column by column.
+fn mean_row(rows: &[impl AsRef<[Real]>]) -> Vec<f64> {
+    let mut sum = vec![0.0; rows[0].as_ref().len()];
+    for row in rows {
+        sum.iter_mut().zip(row.as_ref()).for_each(|(sum, v)| *sum += *v as f64);
+    }
+    sum.into_iter().map(|v| v / rows.len() as f64).collect()
 }
 
 impl Predict for LinearMap {

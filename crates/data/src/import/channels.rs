@@ -136,12 +136,13 @@ impl ChannelImport {
     /// subcarrier. Returns the errors of [`Dataset::of_links`].
     fn create_powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3]) -> Result<Dataset> {
         let [rows, antennas, subcarriers] = received;
-        let (listed, noun) = if grid.size[2] > 1 { (subcarriers, "subcarrier") } else { (antennas, "antenna") };
+        let has_subcarriers = grid.size[2] > 1;
+        let (listed, noun) = if has_subcarriers { (subcarriers, "subcarrier") } else { (antennas, "antenna") };
         let (mut samples, mut powers) = (Vec::new(), Vec::new());
         for &m in rows {
-            for (receiver, k) in listed.iter().enumerate() {
-                let k = std::slice::from_ref(k);
-                let (a, f) = if grid.size[2] > 1 { (&antennas[..], k) } else { (k, &subcarriers[..]) };
+            for (receiver, index) in listed.iter().enumerate() {
+                let only = std::slice::from_ref(index);
+                let (a, f) = if has_subcarriers { (&antennas[..], only) } else { (only, &subcarriers[..]) };
                 let power = grid.cells(m, a, f).map(|gain| kind.power(gain)).sum::<f64>() / a.len() as f64;
                 if power > 0.0 {
                     samples.push(Sample { receiver, ..Sample::new(m as u32, grid.tx[m]) });

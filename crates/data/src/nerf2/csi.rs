@@ -77,8 +77,9 @@ impl DataSource for Nerf2Csi {
         let antennas = receivers::read_antennas(&root.join("base-station.yml"), LAYOUT)?;
         let path = root.join("csidata.npy");
         let mut array = read_channels(&path, antennas.len())?;
-        let [snapshots, _, both] = array.shape;
-        let frequencies_hz = uniform_subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
+        let [snapshots, _, subcarriers] = array.shape;
+        let frequencies_hz = uniform_subcarriers(&path, self.carrier_hz, self.spacing_hz, subcarriers)?;
+        let frequencies_hz = frequencies_hz[subcarriers / 2..].to_vec(); // of the downlink
         let positions = read_positions(&root, snapshots)?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
         array.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
@@ -97,7 +98,7 @@ impl DataSource for Nerf2Csi {
         let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
-        let features = Some(Features { width: both * per_receiver, values: features });
+        let features = Some(Features { width: subcarriers * per_receiver, values: features });
         Ok(Dataset { official, simulation, features, placed: positions.is_some(), ..data })
     }
 

@@ -118,7 +118,7 @@ impl<'a> ColumnSearch<'a> {
             }
             ([Some(x), Some(y)], _) if !has_degrees => {
                 let columns = PlaceColumns::new([x, y], height, is_lat_lon);
-                if !is_lat_lon && self.look_like_degrees(columns) {
+                if !is_lat_lon && self.is_like_degrees(columns) {
                     let problem = format!("{} look like degrees", self.list(columns.plane));
                     return Err(self.fault(format!("{problem}; add --lat-lon, or --lat COLUMN --lon COLUMN")));
                 }
@@ -137,7 +137,7 @@ impl<'a> ColumnSearch<'a> {
     }
 
     /// Returns whether metres look like degrees: a site of less than 20 cm, more than a metre away from zero.
-    fn look_like_degrees(&self, columns: PlaceColumns) -> bool {
+    fn is_like_degrees(&self, columns: PlaceColumns) -> bool {
         columns.plane.into_iter().all(|k| {
             let (low, high) = self.values(k).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
             self.rows.len() > 1 && high - low < 0.2 && low.abs().min(high.abs()) > 1.0 && high.abs() <= 180.0

@@ -60,6 +60,7 @@ impl Survey<'_> {
         }
         drop(order);
         self.repeated = repeats.len();
+        // The n-th repetitions at several receivers share one location.
         let mut separate: HashMap<(u32, usize), u32> = HashMap::new();
         for (k, repetition) in repeats {
             let Reading { location, .. } = &mut self.readings[k];

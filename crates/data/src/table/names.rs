@@ -61,19 +61,21 @@ impl Affixes {
         if columns.iter().any(|column| names.contains(column.as_str())) {
             return None;
         }
-        let around = |column: &str, name: &str| -> Vec<Self> {
-            let splits = column.match_indices(name).map(|(at, _)| (&column[..at], &column[at + name.len()..]));
-            let is_whole = |(before, after): &(&str, &str)| !is_divided(before, name) && !is_divided(name, after);
-            splits.filter(is_whole).map(|(before, after)| Self { before: before.into(), after: after.into() }).collect()
-        };
         let pairs = columns.iter().flat_map(|column| placed.iter().map(move |name| (column, name)));
-        let candidates: BTreeSet<Self> = pairs.flat_map(|(column, name)| around(column, name)).collect();
+        let candidates: BTreeSet<Self> = pairs.flat_map(|(column, name)| Self::around(column, name)).collect();
         let count = |affixes: &Self| -> Option<usize> {
             let inner: Option<Vec<&str>> = columns.iter().map(|column| affixes.strip(column)).collect();
             Some(inner?.into_iter().filter(|name| names.contains(name)).count())
         };
         let counted = candidates.into_iter().filter_map(|affixes| Some((count(&affixes)?, affixes)));
         counted.max_by_key(|(count, _)| *count).map(|(_, affixes)| affixes)
+    }
+
+    /// Returns the text around each occurrence of `name` in `column` that divides no word or number.
+    fn around(column: &str, name: &str) -> Vec<Self> {
+        let splits = column.match_indices(name).map(|(at, _)| (&column[..at], &column[at + name.len()..]));
+        let is_whole = |(before, after): &(&str, &str)| !is_divided(before, name) && !is_divided(name, after);
+        splits.filter(is_whole).map(|(before, after)| Self { before: before.into(), after: after.into() }).collect()
     }
 
     /// Returns the name inside a column; `None` if the column lacks the text, or has nothing else.

@@ -46,7 +46,7 @@ impl ColumnSearch<'_> {
             Some(name) if is_name(name) => None,
             choice => self.find("--receiver", choice.as_ref(), RECEIVER)?,
         };
-        let may_be_names = |k: &usize| !used.contains(k) && !is_one_of(&self.names[*k], OTHER) && self.holds_names(*k);
+        let may_be_names = |k: &usize| !used.contains(k) && !is_one_of(&self.names[*k], OTHER) && self.has_names(*k);
         if let (None, None, Some(column)) = (&self.choice.receiver, receiver, (0..self.names.len()).find(may_be_names))
         {
             let column = self.list([column]);
@@ -57,7 +57,7 @@ impl ColumnSearch<'_> {
     }
 
     /// Returns whether a column holds several names, each in several rows.
-    fn holds_names(&self, k: usize) -> bool {
+    fn has_names(&self, k: usize) -> bool {
         let cells = || self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
         let distinct: BTreeSet<&str> = cells().map(|field| field.text).collect();
         self.values(k).next().is_none() && distinct.len() > 1 && 2 * distinct.len() <= cells().count()
@@ -76,13 +76,13 @@ impl ColumnSearch<'_> {
     fn chosen_wide(&self) -> Result<Vec<usize>> {
         let indices = 0..self.names.len();
         for pattern in &self.choice.wide {
-            if !indices.clone().any(|k| matches(pattern, &self.table.names[k])) {
+            if !indices.clone().any(|k| is_match(pattern, &self.table.names[k])) {
                 let columns = self.list(indices);
                 let problem = format!("--columns {pattern}: no column has such a name; the columns are {columns}");
                 return Err(self.fault(problem));
             }
         }
-        let is_chosen = |k: &usize| self.choice.wide.iter().any(|pattern| matches(pattern, &self.table.names[*k]));
+        let is_chosen = |k: &usize| self.choice.wide.iter().any(|pattern| is_match(pattern, &self.table.names[*k]));
         Ok(indices.filter(is_chosen).collect())
     }
 
@@ -91,7 +91,7 @@ impl ColumnSearch<'_> {
     fn recognised_wide(&self, used: &[usize]) -> Result<Vec<usize>> {
         let is_known =
             |name: &str| [X, Y, Z, LAT, LON, FLOOR, TX_ID, RECEIVER, OTHER].iter().any(|names| is_one_of(name, names));
-        let is_free = |k: &usize| !used.contains(k) && !is_known(&self.names[*k]) && self.holds_powers(*k);
+        let is_free = |k: &usize| !used.contains(k) && !is_known(&self.names[*k]) && self.has_powers(*k);
         let free: Vec<usize> = (0..self.names.len()).filter(is_free).collect();
         let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
         free.iter().for_each(|&k| groups.entry(stem(&self.table.names[k])).or_default().push(k));
@@ -115,7 +115,7 @@ impl ColumnSearch<'_> {
     }
 
     /// Returns whether a column holds numbers within [`LARGEST`], and empty cells.
-    fn holds_powers(&self, k: usize) -> bool {
+    fn has_powers(&self, k: usize) -> bool {
         let cells = self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
         cells.count() == self.values(k).count() && self.values(k).all(|v| v.abs() <= LARGEST)
     }
@@ -135,7 +135,7 @@ fn stem(name: &str) -> String {
 }
 
 /// Returns whether a name matches a pattern in which `*` stands for any text; either case.
-fn matches(pattern: &str, name: &str) -> bool {
+fn is_match(pattern: &str, name: &str) -> bool {
     let (pattern, name) = (pattern.to_lowercase(), name.to_lowercase());
     let parts: Vec<&str> = pattern.split('*').collect();
     let [first, middle @ .., last] = &parts[..] else { return name == pattern };

@@ -215,7 +215,7 @@ impl<'a> Survey<'a> {
             let Some(dbm) = self.read_power(&row, cell(power)?)? else { continue };
             let cells =
                 reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
-            let group = (place, cells.join("\u{1f}").into(), is_test);
+            let group = (place, cells.join("\u{1f}").into(), is_test); // U+001F: unit separator
             let location = *self.groups.entry(group).or_insert_with(|| {
                 self.spots.push(Spot { place, is_test });
                 self.spots.len() as u32 - 1
