@@ -109,7 +109,7 @@ impl CloudStats {
         }
     }
 
-    /// Adds the statistics of the same Gaussians at another step.
+    /// Adds the accumulated statistics of the same Gaussians at another step.
     pub fn merge(&mut self, other: &Self) {
         for i in 0..self.visible.len() {
             self.visible[i] += other.visible[i];
@@ -220,7 +220,7 @@ impl Needs {
         self.statistics.is_empty()
     }
 
-    /// Draws the transmitters for a pass at `step`: indices below `count`, in order.
+    /// Draws the transmitters for a pass at `step`: indices below `count`, in order; all of them unless fewer are requested.
     pub fn draw_transmitters(&self, count: usize, seed: u64, step: u64) -> Vec<usize> {
         let mut transmitters: Vec<usize> = (0..count).collect();
         if self.transmitters > 0 && self.transmitters < count {

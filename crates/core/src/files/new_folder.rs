@@ -38,7 +38,7 @@ impl NewFolder {
     /// Begins the folder that will be `out`.
     ///
     /// # Errors
-    /// `out` is not empty or has no folder name, or writing fails.
+    /// `out` is not empty, is a link or has no folder name, or writing fails.
     pub fn begin(out: &Path) -> Result<Self> {
         if let Some(_unused) = lock_unused(&out.join(LOCK)) {
             let _ = fs::remove_file(out.join(LOCK)); // the process was killed while it published the folder
@@ -113,7 +113,7 @@ impl NewFolder {
     /// Renames the folder to its target. An empty folder at the target is replaced.
     ///
     /// # Errors
-    /// As [`Self::begin`], if something has appeared at the target since; renaming fails.
+    /// As [`Self::begin`], if something has appeared at the target since; renaming fails; the GPU has failed ([`device::check`]).
     pub fn publish(self) -> Result<()> {
         let _held = lock_under_way(); // a folder emptied by `abandon_all` must not be published
         rename_to_target(&self.path, &self.out, LOCK)

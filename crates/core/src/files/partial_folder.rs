@@ -25,7 +25,7 @@ impl PartialFolder {
     /// each part of the request, such as `("positions", digest)`.
     ///
     /// # Errors
-    /// `out` is not empty or has no folder name; the partial folder holds other files, or had another request;
+    /// `out` is not empty, is a link or has no folder name; the partial folder holds other files, or had another request;
     /// [`Error::Busy`] while another process fills it; writing fails.
     pub fn begin(out: &Path, request: &[(&str, String)]) -> Result<Self> {
         if let Some(_unused) = lock_unused(&out.join(REQUEST)) {
@@ -79,7 +79,8 @@ impl PartialFolder {
     /// Renames the folder to its target. An empty folder at the target is replaced.
     ///
     /// # Errors
-    /// Something has appeared at the target since [`Self::begin`]; renaming fails.
+    /// Something has appeared at the target since [`Self::begin`]; renaming fails; the GPU has failed
+    /// ([`device::check`](crate::device::check)).
     pub fn publish(self) -> Result<()> {
         rename_to_target(&self.path, &self.out, REQUEST)
     }

@@ -56,21 +56,23 @@ pub fn fit_spectra(
 /// Divides places into compact blocks of at most `most`: halves along the longest side, again and again.
 fn compact_blocks(places: &[Place], most: usize) -> Vec<Vec<usize>> {
     let mut blocks = vec![(0..places.len()).collect::<Vec<_>>()];
-    // The first block is the largest: its halves round up.
+    // The first block is the largest: `halve` rounds it up.
     while blocks.first().is_some_and(|block| block.len() > most) {
-        let halve = |mut block: Vec<usize>| {
-            let side = |axis: usize| {
-                let (low, high) = bounds(block.iter().map(|&k| places[k][axis]));
-                high - low
-            };
-            let longest = (0..3).reduce(|a, b| if side(b) > side(a) { b } else { a }).unwrap_or(0);
-            block.sort_by(|&a, &b| places[a][longest].total_cmp(&places[b][longest]));
-            let upper = block.split_off(block.len().div_ceil(2));
-            [block, upper]
-        };
-        blocks = blocks.into_iter().flat_map(halve).collect();
+        blocks = blocks.into_iter().flat_map(|block| halve(places, block)).collect();
     }
     blocks
+}
+
+/// Halves a block of places along its longest side; the lower half has the middle place of an odd number.
+fn halve(places: &[Place], mut block: Vec<usize>) -> [Vec<usize>; 2] {
+    let side = |axis: usize| {
+        let (low, high) = bounds(block.iter().map(|&k| places[k][axis]));
+        high - low
+    };
+    let longest = (0..3).reduce(|a, b| if side(b) > side(a) { b } else { a }).unwrap_or(0);
+    block.sort_by(|&a, &b| places[a][longest].total_cmp(&places[b][longest]));
+    let upper = block.split_off(block.len().div_ceil(2));
+    [block, upper]
 }
 
 impl JointLikelihood {

@@ -38,7 +38,8 @@ pub const REMOVED_FIELDS: &[(&[&str], &str, &str)] = &[
     (&["Nerf2"], "cache_mb", "remove it (fixed at 2500)"),
 ];
 
-/// Returns the error for a removed field of a plugin, after its subject; `None` for all other fields.
+/// Returns the error for a removed field of a plugin; `None` for all other fields. The text begins with `has`: the caller names
+/// the plugin.
 pub fn removed_field(plugin: &str, field: &str) -> Option<String> {
     let (.., step) = REMOVED_FIELDS.iter().find(|(plugins, name, _)| *name == field && plugins.contains(&plugin))?;
     Some(format!("has no field `{field}` (removed); {step}"))
