@@ -10,29 +10,29 @@ from conftest import ROOT
 
 import pwrfgs
 
-# Function of each command, as it is called, and what comes back; a reason alone for a command without a function.
+# Function of each command, as it is called, and the returned value; a reason alone for a command without a function.
 FUNCTIONS = {
     "run": ("pwrfgs.run(pipeline)", "`Run`: scores, training curve, model"),
-    "pipelines": ('pwrfgs.Pipeline("quickstart")', "`Pipeline`: settings as attributes; `print` shows its text"),
+    "pipelines": ('pwrfgs.Pipeline("quickstart")', "`Pipeline`: settings as attributes"),
     "check": ("pwrfgs.check(pipeline)", "`Check`: memory, time, warnings"),
-    "sweep": ('pwrfgs.sweep(pipeline, axes={"training.scale": [0.1, 0.5]})', "list of `Run`; `executor=` runs them elsewhere"),
+    "sweep": ('pwrfgs.sweep(pipeline, axes={"training.scale": [0.1, 0.5]})', "list of `Run`"),
     "compare": ("pwrfgs.compare(data)", "`Comparison`: scores of all methods and baselines"),
     "predict": ("model.predict(tx)", "array; `Interval` with `interval=0.9`; iterator of arrays with `batch_size=`"),
     "map": ('model.map(plane="z=1.2", step=0.25)', "`RadioMap`: layers [rows, columns] with units"),
-    "locate": ("model.locate(observations)", "`Located`: positions [B, 3]; without observations, errors of the test samples"),
+    "locate": ("model.locate(observations)", "`Located`: positions [B, 3]; without observations, errors on the test set"),
     "plan": ("pwrfgs.plan(data, candidates=positions)", "`Plan`: positions to measure next, in order"),
     "place": ('pwrfgs.place("office", count=1)', "`Placement`: receiver positions and their coverage"),
-    "view": ("run.view()", "`View`: a page in the notebook, or its address"),
-    "evaluate": ("pwrfgs.evaluate(model, pipeline)", "`Run`: scores and report of your own model"),
-    "report": ("pwrfgs.report(runs)", "tables as text; the figures are in the folder of the report"),
+    "view": ("run.view()", "`View`: page in a notebook, or the address of this page"),
+    "evaluate": ("pwrfgs.evaluate(model, pipeline)", "`Run`: scores and report, also of your own model"),
+    "report": ("pwrfgs.report(runs)", "tables as text; the report folder has the figures"),
     "update": ("model.update(data)", "`Model` with new measurements in its residual process, without training"),
     "compress": ("model.compress(bits=8)", "`Model` with weights in 8 or 16 bits"),
     "export": ("model.gaussians()", "`Gaussians`: arrays; `model.to_ply(path)` writes a file for splat viewers"),
     "import": ("pwrfgs.Dataset.from_table(frame)", "`Dataset`"),
-    "simulate": ('pwrfgs.simulate("office", "data/office")', "`Dataset` of a new folder"),
-    "export-scene": ('pwrfgs.convert.to_sionna("office", "office-xml")', "number of meshes in the new folder"),
-    "plugins": ("help(pwrfgs.LearnableMask)", "documentation of a plugin, each of which is a class"),
-    "data": ("pwrfgs.Dataset.load(path)", "`Dataset`; `pwrfgs data` prints where public data sets are"),
+    "simulate": ('pwrfgs.simulate("office", "data/office")', "`Dataset`, also written to the folder"),
+    "export-scene": ('pwrfgs.convert.to_sionna("office", "office-xml")', "number of meshes written to the folder"),
+    "plugins": ("help(pwrfgs.LearnableMask)", "documentation of a plugin"),
+    "data": ("pwrfgs.Dataset.load(path)", "`Dataset`"),
     "devices": ("pwrfgs.devices()", 'names of the GPUs; `pwrfgs.use_device("gpu")` selects one for this process'),
     "inspect": ("pwrfgs.inspect(data)", "`Inspection`: positions, values, splits, baselines"),
     "init": ("pwrfgs.Pipeline.for_data(data)", "`Pipeline` for your data"),
@@ -43,7 +43,7 @@ FUNCTIONS = {
 
 def table(commands):
     """Rows of the table, in the order of the program's help."""
-    rows = ["| command | function | what comes back |", "|---|---|---|"]
+    rows = ["| command | function | returned value |", "|---|---|---|"]
     for command in commands:
         entry = FUNCTIONS[command]
         call, back = (f"`{entry[0]}`", entry[1]) if isinstance(entry, tuple) else ("none", entry)
