@@ -229,7 +229,7 @@ impl Default for MatchingPursuit {
     }
 }
 
-/// Maximum number of virtual transmitters per search.
+/// Maximum number of virtual transmitters per search, of `patience` and of `rounds`.
 const MOST: usize = 1_000;
 
 impl MatchingPursuit {
@@ -351,8 +351,11 @@ impl Initializer for MatchingPursuit {
         if !(1..=MOST).contains(&self.most) {
             return Err(format!("`most` is {}; give 1 to {MOST}, such as 32", self.most));
         }
-        if self.patience == 0 {
-            return Err("`patience` is 0; give 1 or more, such as 8".into());
+        if !(1..=MOST).contains(&self.patience) {
+            return Err(format!("`patience` is {}; give 1 to {MOST}, such as 8", self.patience));
+        }
+        if self.rounds > MOST {
+            return Err(format!("`rounds` is {}; give 0 to {MOST}, such as 2", self.rounds));
         }
         Ok(())
     }

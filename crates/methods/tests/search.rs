@@ -143,6 +143,8 @@ fn reports_unsupported_search_input() {
         (ChannelInputs { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
         (links, &h[..], changed(MatchingPursuit { step: 0.0, ..settings() }), "`step`"),
         (links, &h[..], changed(MatchingPursuit { reach: -1.0, ..settings() }), "`reach`"),
+        (links, &h[..], changed(MatchingPursuit { rounds: usize::MAX, ..settings() }), "`rounds`"),
+        (links, &h[..], changed(MatchingPursuit { patience: usize::MAX, ..settings() }), "`patience`"),
         (links, &h[..], PursuitOptions { order: 4, ..options() }, "`order`"),
         (links, &h[..], PursuitOptions { peaks: 0, ..options() }, "`peaks`"),
     ] {

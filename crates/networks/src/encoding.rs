@@ -43,14 +43,14 @@ pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usi
     }
     let (mut sines, mut cosines): (Vec<f64>, Vec<f64>) = plain.iter().map(|&x| f64::from(x).sin_cos()).unzip();
     loop {
-        let (block, rest) = waves.split_at_mut(6 * rows);
+        let (block, later) = waves.split_at_mut(6 * rows);
         let (s_out, c_out) = block.split_at_mut(3 * rows);
-        let last = rest.is_empty();
+        let last = later.is_empty();
         store_and_double(s_out, c_out, &mut sines, &mut cosines);
         if last {
             return;
         }
-        waves = rest;
+        waves = later;
     }
 }
 

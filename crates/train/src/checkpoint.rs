@@ -156,8 +156,8 @@ pub fn data_digest(data: &Dataset) -> String {
     digest(describe_data(data).as_bytes())
 }
 
-/// Returns task, scene, image size and frequencies of the data as text, with digests of points, links, and each [`CHUNK`]
-/// of samples.
+/// Returns task, scene, image size and frequencies of the data as text, with digests of points, links, and every [`CHUNK`]
+/// samples.
 fn describe_data(data: &Dataset) -> String {
     let digest_samples = |samples: &[(usize, Sample)]| {
         let mut bytes = Vec::new();

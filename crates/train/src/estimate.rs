@@ -85,9 +85,9 @@ impl CountCurve {
 
     /// Returns the time of all steps, seconds, if the share `kept` remains, from timed steps (N, seconds) with two
     /// different N (linear between and beyond them), or one N.
-    fn total_seconds(&self, kept: f64, [a, b]: [(f64, f64); 2]) -> f64 {
-        let slope = if a.0 == b.0 { 0.0 } else { ((a.1 - b.1) / (a.0 - b.0)).max(0.0) };
-        let fixed = (b.1 - slope * b.0).max(0.0);
+    fn total_seconds(&self, kept: f64, [(n, time), (other_n, other_time)]: [(f64, f64); 2]) -> f64 {
+        let slope = if n == other_n { 0.0 } else { ((time - other_time) / (n - other_n)).max(0.0) };
+        let fixed = (other_time - slope * other_n).max(0.0);
         self.steps as f64 * fixed + slope * self.sum_over_steps(kept)
     }
 }

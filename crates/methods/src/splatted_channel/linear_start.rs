@@ -82,9 +82,8 @@ fn fit_ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[
         factor.solve(&mut right);
         right
     };
-    let column = |n: usize| -> Vec<[f64; 2]> {
-        part(n, 0).into_iter().zip(part(n, 1)).map(|(re, im)| [re, im]).collect()
-    };
+    let column =
+        |n: usize| -> Vec<[f64; 2]> { part(n, 0).into_iter().zip(part(n, 1)).map(|(re, im)| [re, im]).collect() };
     let columns: Vec<Vec<[f64; 2]>> = (0..numbers).into_par_iter().map(column).collect();
     Some((0..d).map(|k| columns.iter().map(|column| column[k]).collect()).collect())
 }

@@ -13,7 +13,7 @@ const OUT: usize = NETWORK;
 pub(crate) struct KeptStep(u64);
 
 impl MlpLayers {
-    /// Returns the trunk for chunks of `rows` rows.
+    /// Returns the trunk for chunks of `rows` rows; for a backward pass (`is_derived`) each layer has a slot.
     fn on_gpu(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
         let slots = if is_derived { self.trunk.depth() } else { 2 };
         GpuTrunk { trunk: &self.trunk, rows, first: OUT + 1, slots }

@@ -85,7 +85,7 @@ impl Trunk {
 
 impl GpuTrunk<'_> {
     /// Returns the sizes of the slots before [`NETWORK`], for `weights` weights, `batch` folded biases per layer, and heads with
-    /// `outputs` outputs. Derivatives need more than predictions.
+    /// `outputs` outputs. A backward pass (`is_derived`) needs more than predictions.
     pub fn sizes(&self, weights: usize, batch: usize, outputs: usize, is_derived: bool) -> Vec<usize> {
         let &Self { trunk, rows, .. } = self;
         let (width, gamma) = (trunk.width, trunk.gamma);

@@ -41,7 +41,7 @@ struct Wanted {
 }
 
 impl WrfgsLayers {
-    /// Returns the trunk for chunks of `rows` rows.
+    /// Returns the trunk for chunks of `rows` rows; for a backward pass (`is_derived`) each layer has a slot.
     fn on_gpu(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
         GpuTrunk { trunk: &self.trunk, rows, first: FIRST, slots: if is_derived { self.trunk.depth() } else { 2 } }
     }

@@ -45,7 +45,7 @@ pub(super) struct Chunk<'a> {
 }
 
 impl<'a> GpuNerf2<'a> {
-    /// Returns the sizes of a chunk of rays.
+    /// Returns a chunk of rays; for a backward pass (`is_derived`) each layer of the trunk has a slot.
     pub(super) fn chunk(&self, rays: usize, is_derived: bool) -> Chunk<'a> {
         let trunk = &self.network.trunk;
         let slots = if is_derived { trunk.depth() } else { 2 };
