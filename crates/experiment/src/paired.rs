@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// Decimals of a difference: one more than scores have.
 const DECIMALS: usize = 4;
-/// Number of cubes below which intervals are rough.
+/// Number of cubes below which intervals are rough; [`Paired::note`] prints it as a word.
 const ENOUGH: usize = 10;
 
 /// Paired differences between a model and its baselines.
@@ -46,7 +46,8 @@ impl Paired {
         self.rows.iter().find(|row| row.baseline == baseline && row.metric == key)
     }
 
-    /// Formats table rows: a header, then one row per baseline with difference and verdict of each metric.
+    /// Formats table rows: a header, then one row per baseline with difference and verdict of each metric. The names in
+    /// `oracles` are marked `†`.
     pub fn lines(&self, oracles: &[String]) -> Vec<Vec<String>> {
         let mut metrics: Vec<(&str, bool)> = Vec::new();
         let mut baselines: Vec<&str> = Vec::new();

@@ -39,15 +39,15 @@ impl PartialScores {
         let request = digest(format!("{VERSION} {rounding:?} {settings} {model} {data} {partition:?}").as_bytes());
         let text = if_found(&path, files::read(&path))?.unwrap_or_default();
         let text = String::from_utf8_lossy(&text);
-        let mut all = Self { request, ..Self::default() };
+        let mut scores = Self { request, ..Self::default() };
         let mut length = 0;
         for line in text.split_inclusive('\n') {
-            let Some((part, result)) = all.verify(line) else { break };
-            all.known.insert(part.into(), result.into());
+            let Some((part, result)) = scores.verify(line) else { break };
+            scores.known.insert(part.into(), result.into());
             length += line.len() as u64;
         }
-        all.file = Some(GrowingFile::resume(path, &[], length)?);
-        Ok(all)
+        scores.file = Some(GrowingFile::resume(path, &[], length)?);
+        Ok(scores)
     }
 
     /// Returns part and result of a line of the file; `None` if it is incomplete or of another request.

@@ -208,13 +208,13 @@ pub struct Confidence {
 
 impl Confidence {
     /// Computes the Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are
-    /// unrelated; NaN if all are equal.
+    /// unrelated; NaN if all spreads or all errors are equal.
     pub fn rank_correlation(&self) -> f64 {
         pearson_correlation(&ranks(&self.spreads), &ranks(&self.errors))
     }
 
-    /// Forms `count` groups of equal size by ascending spread, without empty ones. Returns mean spread and sorted errors of
-    /// each.
+    /// Forms `count` groups by ascending spread, whose sizes differ by at most one, without empty ones. Returns mean spread and
+    /// sorted errors of each.
     pub fn group_by_spread(&self, count: usize) -> Vec<(f64, Vec<f64>)> {
         let mut order: Vec<usize> = (0..self.spreads.len()).collect();
         order.sort_by(|&a, &b| self.spreads[a].total_cmp(&self.spreads[b]).then(a.cmp(&b)));

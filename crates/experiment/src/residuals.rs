@@ -33,8 +33,9 @@ fn is_folded(pipeline: &Pipeline) -> bool {
     pipeline.members > 1 || pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds)
 }
 
-/// Lists the known links that models left out: model k did not train on list k modulo the number of lists. A joined sweep of
-/// `models` with folds has one list per model; without folds there is one list, the validation set.
+/// Lists the known links that models left out: model k did not train on list k modulo the number of lists. A pipeline with
+/// several `members` has one list per part, and a joined sweep of `models` with folds one per model. Otherwise, the only
+/// list is the validation set.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
@@ -48,14 +49,14 @@ pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, models: usi
 }
 
 /// Returns the number of the block of each of `links`, which are ascending: the block of the split, or a cube of space if all
-/// blocks of the split are single locations.
+/// blocks of the split are single locations. Links in no block of the split share one number.
 fn label_blocks(pipeline: &Pipeline, SplitData { data, .. }: &SplitData, links: &[usize]) -> Vec<usize> {
-    let of_split = pipeline.split.blocks(data, links);
+    let split_blocks = pipeline.split.blocks(data, links);
     let location = |link: usize| data.links[link].location;
-    if of_split.iter().any(|block| block.iter().any(|link| location(*link) != location(block[0]))) {
+    if split_blocks.iter().any(|block| block.iter().any(|link| location(*link) != location(block[0]))) {
         let labels: BTreeMap<usize, usize> =
-            of_split.iter().enumerate().flat_map(|(k, block)| block.iter().map(move |link| (*link, k))).collect();
-        return links.iter().map(|link| labels.get(link).copied().unwrap_or(of_split.len())).collect();
+            split_blocks.iter().enumerate().flat_map(|(k, block)| block.iter().map(move |link| (*link, k))).collect();
+        return links.iter().map(|link| labels.get(link).copied().unwrap_or(split_blocks.len())).collect();
     }
     let position = |link: &usize| data.sample(*link).position();
     let edge = SiteSize::new(links.iter().map(position)).block_edge();

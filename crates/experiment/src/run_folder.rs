@@ -119,7 +119,7 @@ impl RunFolder {
             .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// Returns whether this claim created the run: the folder contains only `pipeline.ron`.
+    /// Returns whether this claim created the run: it wrote `pipeline.ron`.
     pub fn is_new(&self) -> bool {
         self.is_new
     }

@@ -190,18 +190,17 @@ impl<'a> ActiveRun<'a, '_> {
         self.session.observer.on_message(&format!("scoring {test} test {}", task.counted[1]));
         let mut partial = PartialScores::open(folder.path(), &model, pipeline, split)?;
         let mut result = self.evaluate_parts(&model, &mut partial)?;
+        // Each model of an ensemble has its own validation, and its steps are sums.
         if !is_ensemble {
             facts.validation_baselines = self.validation_baselines(model.plane(), &mut partial)?;
         }
-        if is_ensemble {
-            // Each model has its own validation, and the steps are sums.
-        } else if is_trained_here {
-            facts.steps = pipeline.training.steps;
-        } else {
+        if !is_trained_here {
             // `score_model`: nothing is known of the training.
             let table = &mut result.scores.table;
             (table.samples[0], table.trained_elsewhere) = (0, true);
             table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
+        } else if !is_ensemble {
+            facts.steps = pipeline.training.steps;
         }
         if is_trained_here && (!is_ensemble || pipeline.members > 1) {
             let rows = read_validation(folder.path(), &facts);

@@ -1,7 +1,7 @@
 //! Score table as text for a terminal: the verdict, then the main metrics of the task or all.
 
 use crate::paired::{Paired, is_custom};
-use crate::scores::{CEILING, MODEL, MetricRow, ScoreCell, ScoreTable};
+use crate::scores::{MODEL, MetricRow, ScoreCell, ScoreTable};
 use crate::text::{align_columns, grouped, number};
 
 impl ScoreTable {
@@ -11,7 +11,7 @@ impl ScoreTable {
         if test == 0 {
             return String::new();
         }
-        let has_baselines = self.predictors.iter().skip(1 + self.members.len()).any(|name| name != CEILING);
+        let has_baselines = self.baselines().next().is_some();
         let [of_model, of_baselines, tested] = self.samples.map(|n| grouped(n as i64));
         let trained = if has_baselines && model == baselines && !self.trained_elsewhere {
             vec![format!("model and baselines are trained on the same {of_model}")]
@@ -42,13 +42,10 @@ impl ScoreTable {
     pub fn main_metrics(&self) -> Vec<&MetricRow> {
         let main = self.task.main_metrics;
         let is_main = |row: &&MetricRow| main.contains(&row.key.as_str()) || is_custom(&row.key);
-        let mut free = main.len().saturating_sub(self.metrics.iter().filter(is_main).count());
-        let is_shown = |row: &&MetricRow| {
-            let fills = !is_main(row) && free > 0;
-            free -= usize::from(fills);
-            fills || is_main(row)
-        };
-        self.metrics.iter().filter(is_shown).collect()
+        let free = main.len().saturating_sub(self.metrics.iter().filter(is_main).count());
+        let others = self.metrics.iter().filter(|row| !is_main(row));
+        let fillers: Vec<&str> = others.take(free).map(|row| row.key.as_str()).collect();
+        self.metrics.iter().filter(|row| is_main(row) || fillers.contains(&row.key.as_str())).collect()
     }
 
     /// Formats aligned text for a terminal: verdict, heading, one line per metric, one column per predictor. The best
@@ -85,12 +82,11 @@ impl ScoreTable {
     /// Formats the table of the metrics `shown`, with `all` statistics or, except for the first metric of the task, one.
     fn format_metrics(&self, shown: &[&MetricRow], all: bool) -> String {
         let share = self.share.map_or_else(String::new, |share| format!(" (b = {share})"));
-        let mark = |name: &String| match () {
-            () if self.oracles.contains(name) => " †",
-            () if name == MODEL => &share,
-            () => "",
+        let name = |name: &String| match name.as_str() {
+            MODEL => format!("{name}{share}"),
+            _ if self.oracles.contains(name) => format!("{name} †"),
+            _ => name.clone(),
         };
-        let name = |name: &String| format!("{name}{}", mark(name));
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
         let mut lines: Vec<Vec<String>> = vec![head.collect()];
         for row in shown {

@@ -188,7 +188,8 @@ impl Blocks {
         complete.map_or_else(single, |positions| Self::with_cubes(&positions))
     }
 
-    /// Creates cubes with the largest edge that leaves [`WANTED`] cubes; all `positions` are known.
+    /// Creates cubes with the largest edge that leaves [`WANTED`] cubes, or as many as the finest edge if these are fewer; all
+    /// `positions` are known.
     fn with_cubes(positions: &BTreeMap<u32, [f64; 3]>) -> Self {
         let ends = [0, 1, 2].map(|k| bounds(positions.values().map(|position| position[k])));
         let extent = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);

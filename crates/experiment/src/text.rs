@@ -8,7 +8,7 @@ use pwrfgs_core::{Error, Result};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Quotes a CSV field, also against interpretation as a formula by spreadsheets.
+/// Quotes a CSV field if needed, and prevents its interpretation as a formula by spreadsheets.
 pub fn csv_field(name: &str) -> String {
     let name = cell(name);
     if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.into() }
@@ -39,7 +39,7 @@ pub fn format_length(metres: f64) -> String {
     }
 }
 
-/// Longest table cell, characters; longer cells are truncated, but not file names.
+/// Longest table cell, characters; longer cells are truncated. File names are shorter.
 const CELL: usize = 1_000;
 
 /// Truncates a cell of more than [`CELL`] characters, with `..` at the end.
@@ -50,8 +50,8 @@ fn truncate_cell(cell: &str) -> String {
     }
 }
 
-/// Aligns columns, two blanks apart: the first `left` to the left, the others to the right. A left cell without cells
-/// to its right may have up to 1,000 characters. Empty lines are omitted.
+/// Aligns columns, two blanks apart: the first `left` to the left, the others to the right. A left cell without text to its
+/// right does not widen its column. Cells are truncated to 1,000 characters, and empty lines are omitted.
 pub fn align_columns(lines: &[Vec<String>], left: usize) -> String {
     let lines: Vec<Vec<String>> =
         lines.iter().map(|line| line.iter().map(|cell| truncate_cell(cell)).collect()).collect();
@@ -70,7 +70,8 @@ pub fn align_columns(lines: &[Vec<String>], left: usize) -> String {
     texts.filter(|text| text.len() > 1).collect()
 }
 
-/// Wraps words into lines of at most `width` characters; `starts` are the prefixes of the first and of further lines.
+/// Wraps words into lines of at most `width` characters, unless one word is longer; `starts` are the prefixes of the first and
+/// of further lines.
 pub fn wrap_words(words: &str, starts: [&str; 2], width: usize) -> String {
     let (mut out, mut used) = (String::new(), String::new());
     for word in words.split_whitespace() {

@@ -28,7 +28,7 @@ use std::time::Instant;
 /// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
-/// Describes a GPU without effect, or with little, after a step with N Gaussians; empty without a GPU.
+/// Warns of a GPU without effect, or with little, after a step with `n` Gaussians; empty without a GPU.
 pub(crate) fn device_warnings(n: usize) -> Vec<String> {
     let Some(name) = device::name() else { return Vec::new() };
     if !device::is_used() {

@@ -32,7 +32,8 @@ pub(super) struct MetricScale {
 
 impl MetricScale {
     /// Moves `value` of a pair from a mean of `from` to a mean of `to`: its deficit to the best value scales like
-    /// that of the mean. With an infinite best value it is shifted by the change of the mean.
+    /// that of the mean. With an infinite best value it is shifted by the change of the mean. If `from` is the best value,
+    /// it stays.
     fn rescale(&self, value: f64, from: f64, to: f64) -> f64 {
         match (self.best - to) / (self.best - from) {
             part if part.is_finite() => self.best - (self.best - value) * part,

@@ -71,8 +71,8 @@ impl SamplePair {
     }
 }
 
-/// Finds the pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of
-/// 8,192 samples with any other), and a random part of the distant ones.
+/// Finds the pairs of one kind, the closest first. Near in time: all pairs. Otherwise: all close pairs (of [`ASKED`] samples
+/// with any other), and a random part of the distant ones.
 pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     let receivers = data.group_by_receiver(0..data.len());
     let mut pairs = Vec::new(); // the largest list of an evaluation, so it is not copied
@@ -103,7 +103,7 @@ fn near_pairs(data: &Dataset, links: &[usize]) -> impl Iterator<Item = SamplePai
 
 /// Adds pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and
 /// random pairs beyond. The limits on samples and random pairs are divided by the number of `receivers`.
-fn add_far_pairs(all: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], receivers: usize, least: u32) {
+fn add_far_pairs(far_pairs: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], receivers: usize, least: u32) {
     let position = |i: usize| data.sample(i).position();
     let sampled = evenly(links, ASKED.div_ceil(receivers));
     let nearest = Nearest::new(links, 3, position);
@@ -114,13 +114,13 @@ fn add_far_pairs(all: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], rec
     let complete = neighbours.iter().any(|list| list.len() == links.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &SamplePair| pair.id_gap(data) > least;
-    all.reserve(neighbours.iter().map(Vec::len).sum());
+    far_pairs.reserve(neighbours.iter().map(Vec::len).sum());
     for (&i, list) in sampled.iter().zip(neighbours) {
         let pairs = list.into_iter().map(|(_, j)| SamplePair::of(data, i, j));
-        all.extend(pairs.filter(|pair| pair.distance <= horizon && is_far(pair)));
+        far_pairs.extend(pairs.filter(|pair| pair.distance <= horizon && is_far(pair)));
     }
     let drawn = draw_pairs(data, links, DRAWN.div_ceil(receivers));
-    all.extend(drawn.filter(|pair| pair.distance > horizon && is_far(pair)));
+    far_pairs.extend(drawn.filter(|pair| pair.distance > horizon && is_far(pair)));
 }
 
 /// Draws `count` random pairs of `links`, without those of a link with itself; none if there are fewer than two links.
@@ -133,8 +133,8 @@ fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<It
     (0..count).map(move |_| draw_pair()).filter(|pair| pair.earlier != pair.later)
 }
 
-/// Returns whether samples with consecutive ids are less than half as far apart as unrelated ones, by the median: samples of
-/// a walk or scan are in order of time.
+/// Returns whether successive samples of one receiver, that with the most, are less than half as far apart as unrelated ones,
+/// by the median: samples of a walk or scan are in order of time.
 pub fn is_in_time_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
     let links = data.group_by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();

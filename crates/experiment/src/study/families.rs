@@ -152,13 +152,13 @@ fn shorten_names(families: &mut [VariantFamily<'_>]) -> String {
     let names: Vec<Vec<String>> = families.iter().map(split_name).collect();
     let least = names.iter().map(Vec::len).min().unwrap_or(0);
     let same = |at: &dyn Fn(&Vec<String>) -> String| names.iter().all(|words| at(words) == at(&names[0]));
-    let first = (0..least).take_while(|&k| same(&|words| words[k].clone())).count();
-    let last =
-        (0..least.saturating_sub(first + 1)).take_while(|&k| same(&|words| words[words.len() - 1 - k].clone())).count();
-    for (family, words) in families.iter_mut().zip(&names).filter(|(_, words)| words.len() > first + last) {
-        words[first..words.len() - last].join(" ").trim_end_matches(',').clone_into(&mut family.name);
+    let same_first = (0..least).take_while(|&k| same(&|words| words[k].clone())).count();
+    let ends = 0..least.saturating_sub(same_first + 1);
+    let same_last = ends.take_while(|&k| same(&|words| words[words.len() - 1 - k].clone())).count();
+    for (family, words) in families.iter_mut().zip(&names).filter(|(_, words)| words.len() > same_first + same_last) {
+        words[same_first..words.len() - same_last].join(" ").trim_end_matches(',').clone_into(&mut family.name);
     }
-    names[0][..first].iter().flat_map(|word| [word.as_str(), " "]).collect()
+    names[0][..same_first].iter().flat_map(|word| [word.as_str(), " "]).collect()
 }
 
 #[cfg(test)]

@@ -94,13 +94,13 @@ impl StudyVariant {
     }
 }
 
-/// Largest number of names in a title.
+/// Largest number of names in a title, if more than one is left out.
 const TITLES: usize = 4;
 
 /// Axis and label, for each axis.
 pub(super) type Labels = Vec<(String, String)>;
 
-/// Joins names by commas, without repetition, up to the limit of a title.
+/// Joins names by commas, without repetition. Of those beyond [`TITLES`], it gives the number, unless it is a single one.
 pub(super) fn joined_names(names: Vec<String>) -> String {
     let unique = distinct(names);
     let more = unique.len().saturating_sub(TITLES);
@@ -249,7 +249,7 @@ fn variant_names(variants: &[&Labels]) -> Vec<String> {
         let words = labels.iter().filter(|(axis, _)| is_wanted(axis));
         words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
     };
-    // Without a common axis, the sweep name is used.
+    // A name that is empty or not unique is replaced by all labels, among them the name of the sweep.
     let short: Vec<String> = variants.iter().map(|l| name(l, &|axis| !axis.is_empty() && differ(axis))).collect();
     let clear = |k: usize| !short[k].is_empty() && short.iter().filter(|other| **other == short[k]).count() == 1;
     (0..short.len()).map(|k| if clear(k) { short[k].clone() } else { name(variants[k], &|_| true) }).collect()

@@ -91,6 +91,7 @@ fn initialise_unfinished(
     is_timed: &dyn Fn(usize) -> bool,
     observer: &mut dyn Observer,
 ) -> Result<BTreeMap<usize, f64>> {
+    // Of an initial search, only the shortest and the longest expected time are known.
     let geometric_mean = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
     let tried = initialise_each(plan, &representatives(plan, open), observer, |run, trainer| {
         let (combination, warnings) = (plan.runs[run].combination, trainer.warnings());

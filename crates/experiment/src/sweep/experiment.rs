@@ -148,8 +148,8 @@ impl Check for SweepVariant {
     }
 }
 
-/// Converts `text` to a part of a folder name: characters other than letters, digits, `.`, `-`, `_` and `+` become `-`,
-/// without repetition; empty if `text` has no others.
+/// Converts `text` to a part of a folder name: characters other than letters, digits, `.`, `_` and `+` become single `-`
+/// between the others, and a minus before a first digit is kept. Empty if `text` has no others.
 pub(super) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
     let plain: String = text.chars().map(plain).collect();
@@ -163,7 +163,7 @@ pub(super) fn slug(text: &str) -> String {
 /// Returns an error for a name that is not valid as a folder name.
 fn check_name(name: &str) -> Result<(), String> {
     if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
-        return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
+        return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `-`, `_` and, not first, `.`"));
     }
     Ok(())
 }

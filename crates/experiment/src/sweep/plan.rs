@@ -211,6 +211,7 @@ impl ExperimentSource<'_> {
             let problem = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
             return Err(Error::Config(problem.into()));
         }
+        // Changes that give a valid base are not to blame for faults of an axis.
         draft.finish().map_or(Ok(draft), |base| PipelineEdit::of(&base))
     }
 
@@ -266,8 +267,8 @@ impl ExperimentSource<'_> {
     /// Creates the pipeline of a combination, scaled and validated after all axes.
     fn finish_pipeline(&self, combination: &Combination) -> Result<Pipeline> {
         let pipeline = combination.draft.finish().map_err(|fault| fault.in_file(self.path))?;
-        let unscaled = |e: Error| combination.draft.field_fault("training", e.to_string()).in_file(self.path);
-        pipeline.resolved().map_err(unscaled)
+        let scaling_fault = |e: Error| combination.draft.field_fault("training", e.to_string()).in_file(self.path);
+        pipeline.resolved().map_err(scaling_fault)
     }
 
     /// Returns an error for two combinations with the same pipeline, which would be compared as if they differed.

@@ -148,10 +148,10 @@ fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path
         text,
         "\n\
          # Shortly before the time limit: back into the queue. Slurm then asks every process of the task to end; the run\n\
-         # writes its checkpoint, and its next start goes on from there.\n\
+         # writes its checkpoint, and its next start resumes from it.\n\
          # (Not by SLURM_JOB_ID: for the task that starts last that is the id of the whole array.)\n\
          trap 'scontrol requeue \"${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}\"; interrupted=yes' USR1\n\
-         # The run hears of it from Slurm itself; this script must outlive it.\n\
+         # Slurm signals the run itself; this script must outlive it.\n\
          trap 'interrupted=yes' TERM\n\
          {}\
          run=$(sed -n \"${{SLURM_ARRAY_TASK_ID}}p\" {runs})\n\
