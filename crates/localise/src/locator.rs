@@ -41,7 +41,8 @@ pub struct Locator<'a> {
     /// Model without the validation samples, if it supports this. A model that stores samples has no error at them.
     without: Option<Box<dyn Predict + 'a>>,
     fingerprints: Fingerprints,
-    /// Power of a receiver that did not receive a transmitter.
+    /// Power of a receiver that did not receive a transmitter: the weakest of the training links, dBm; −∞ unless powers are
+    /// observed.
     floor: f32,
     /// Half the distance between neighbouring training positions, metres.
     half_spacing: f64,
@@ -191,7 +192,7 @@ impl<'a> Locator<'a> {
         &self.features
     }
 
-    /// Returns the power of a receiver that did not receive a transmitter, dBm.
+    /// Returns the power of a receiver that did not receive a transmitter, dBm; −∞ unless powers are observed.
     pub fn floor(&self) -> f32 {
         self.floor
     }

@@ -69,7 +69,7 @@ impl Density {
     /// the point itself if the gradient is 0 there.
     fn ascend(&self, mut point: [f64; 2]) -> [f64; 2] {
         for _ in 0..STEPS {
-            let next = self.weighted_mean(point, true);
+            let next = self.weighted_mean(point, 3);
             let length = (next[0] - point[0]).hypot(next[1] - point[1]);
             point = [next[0], next[1]];
             if length < END * self.bandwidth {
@@ -79,12 +79,12 @@ impl Density {
         point
     }
 
-    /// Returns the mean of the positions, weighted by their weights times a power of the closeness to a point: 2, as in the
-    /// density, or 3 if `is_gradient`, as in its gradient.
-    fn weighted_mean(&self, point: [f64; 2], is_gradient: bool) -> [f64; 3] {
+    /// Returns the mean of the positions, weighted by their weights times this `power` of the closeness to a point: 2, as in
+    /// the density, or 3, as in its gradient.
+    fn weighted_mean(&self, point: [f64; 2], power: usize) -> [f64; 3] {
         let (mut x, mut y, mut z, mut total) = (0.0, 0.0, 0.0, 0.0);
         for (w, near, p) in self.kernels_with_closeness(point) {
-            let weight = w * near * near * if is_gradient { near } else { 1.0 };
+            let weight = (0..power).fold(w, |weight, _| weight * near);
             total += weight;
             x += weight * p[0];
             y += weight * p[1];
@@ -279,7 +279,7 @@ impl Region {
         };
         let mode = Density { kernels: sharper, bandwidth }.mode().filter(is_mode_inside).or_else(unsharpened_mode);
         let [x, y] = mode.unwrap_or_else(|| self.highest_centre(part));
-        (part, [x, y, density.weighted_mean([x, y], false)[2]])
+        (part, [x, y, density.weighted_mean([x, y], 2)[2]])
     }
 
     /// Returns the centre of the cell of the highest density in `part`, metres; of the first cell if it has none.

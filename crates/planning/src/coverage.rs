@@ -52,7 +52,7 @@ pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
 
 /// Returns `reduce` of the powers of all receivers, per transmitter `[T]`.
 fn reduce_receivers(powers: &[&[f64]], reduce: impl Fn(&[f64]) -> f64) -> Vec<f64> {
-    let mut values = vec![0.0; powers.len()];
+    let mut values = vec![0.0; powers.len()]; // a buffer for all transmitters
     let reduced = |t: usize| {
         values.iter_mut().zip(powers).for_each(|(value, powers)| *value = powers[t]);
         reduce(&values)

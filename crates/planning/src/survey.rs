@@ -73,17 +73,18 @@ impl Survey {
         let mut sorted: Vec<usize> = (0..candidates.len()).collect();
         let compare = |a: &[f64; 3], b: &[f64; 3]| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal);
         sorted.sort_by(|&a, &b| compare(&candidates[a], &candidates[b]).then(a.cmp(&b)));
-        let index = |point: &[f64; 3]| {
+        let mut indices = Vec::with_capacity(region.len());
+        for point in region {
             if let Ok(at) = sorted.binary_search_by(|&i| compare(&candidates[i], point)) {
-                return sorted[at];
+                indices.push(sorted[at]);
+            } else {
+                indices.push(points.len());
+                points.push(*point);
             }
-            points.push(*point);
-            points.len() - 1
-        };
-        let region = region.iter().map(index).collect();
+        }
         let first = points.len();
         points.extend(measured);
-        Self { candidates: candidates.len(), region, measured: (first..points.len()).collect(), points }
+        Self { candidates: candidates.len(), region: indices, measured: (first..points.len()).collect(), points }
     }
 
     /// Selects `count` candidates, or all if there are fewer, one after another, each lowering the integrated variance most;

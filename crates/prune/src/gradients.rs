@@ -114,12 +114,13 @@ impl Pruner for Taming3dgs {
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         let n = cloud.len();
-        let scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
+        let largest_scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
+        // Weights as published.
         let terms: [(Real, Vec<Real>); 7] = [
             (25.0, mean_gradients(stats, n)),
             (100.0, cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect()),
             (10.0, stats.radius.clone()),
-            (25.0, cloud.log_scales.iter().map(scale).collect()),
+            (25.0, cloud.log_scales.iter().map(largest_scale).collect()),
             (10.0, stats.requested.error.clone()),
             (0.1, stats.visible.clone()),
             (50.0, stats.requested.weight.clone()),

@@ -68,6 +68,7 @@ impl Pruner for Lp3dgs {
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        // A logit of 0 is a probability of one half.
         self.score(cloud, stats, context).iter().map(|logit| *logit >= 0.0).collect()
     }
 

@@ -73,6 +73,7 @@ impl Pruner for MiniSplatting {
         }
         let scores = self.score(cloud, stats, context);
         match self.rule {
+            // The quantile 0 is the lowest score, which is not above itself.
             SelectionRule::Above(0.0) => vec![true; scores.len()],
             SelectionRule::Above(share) => {
                 let limit = quantile(&scores, share);

@@ -41,8 +41,8 @@ impl Pruner for LightGaussian {
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         let volumes: Vec<Real> = cloud.log_scales.iter().map(|s| s.iter().sum::<Real>().exp()).collect();
-        let large = quantile(&volumes, 0.9);
-        let factor = |v: Real| (v / large).min(1.0).powf(VOLUME_POWER);
+        let v90 = quantile(&volumes, 0.9);
+        let factor = |v: Real| (v / v90).min(1.0).powf(VOLUME_POWER);
         let weight = requested_statistic(&stats.requested.weight, cloud);
         if stats.requested.weight.len() != cloud.len() {
             return weight;

@@ -211,8 +211,8 @@ impl Pruner for SafeguardGs {
         let (n, mut sorted) = (weight.len(), weight.clone());
         sorted.sort_by(Real::total_cmp);
         let rank = |w: &Real| sorted.partition_point(|other| other.total_cmp(w).is_lt());
-        let safe = |i: usize| stats.requested.top.get(i).is_some_and(|top| *top);
-        weight.iter().enumerate().map(|(i, w)| (rank(w) + if safe(i) { n } else { 0 }) as Real).collect()
+        let is_top = |i: usize| stats.requested.top.get(i).is_some_and(|top| *top);
+        weight.iter().enumerate().map(|(i, w)| (rank(w) + if is_top(i) { n } else { 0 }) as Real).collect()
     }
 }
 

@@ -34,8 +34,8 @@ pub fn compress(ensemble: &Ensemble, bits: Bits) -> Result<CompressedModel> {
     Ok(CompressedModel { bytes, ensemble: small, notes })
 }
 
-/// Describes the mean difference of the predictions of two models at training positions, over all receivers; `None` for
-/// models without training positions.
+/// Describes the mean absolute difference of the predictions of two models at up to [`COMPARED`] training positions, over
+/// all receivers; `None` for models without training positions.
 fn describe_difference(model: &Ensemble, small: &Ensemble) -> Option<String> {
     let stages = &model.members()[0].stages;
     let positions = evenly(&model.training_positions(), COMPARED);

@@ -101,7 +101,8 @@ impl Places {
         (!measured.is_empty()).then(|| Self { title: title.into(), measured, receivers, ..Self::default() })
     }
 
-    /// Returns the places with new `candidates` from `path`; those of before are known measurements.
+    /// Returns the places with new `candidates` from `path`. Earlier candidates become known measurements, of which at most
+    /// 2,000, evenly chosen, are kept.
     ///
     /// # Errors
     /// Candidates that are far from all known measurements: probably another frame or unit.

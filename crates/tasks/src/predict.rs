@@ -109,7 +109,7 @@ fn describe_request(ensemble: &Ensemble, poses: &[Pose], settings: &PredictSetti
 /// Returns the factors of prediction intervals of this `level`, a probability.
 ///
 /// # Errors
-/// A model of channels, or without calibration, or a level for which it has too few samples.
+/// A model of channels, or without calibration; a level that is not between 0 and 1, or for which it has too few samples.
 pub fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
     let refuse = |problem: &str| Err(Error::Config(format!("--interval: {problem}")));
     if ensemble.members()[0].stages.task.intervals.is_none() {

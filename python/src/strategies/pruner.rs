@@ -139,6 +139,7 @@ impl Pruner for Strategy {
     }
 
     fn traits(&self) -> PrunerTraits {
+        // A class with only a score ranks Gaussians: the target decides how many are kept.
         let has_score_alone =
             self.object.implements("score") && !["keep", "gate"].iter().any(|method| self.object.implements(method));
         PrunerTraits {

@@ -114,8 +114,8 @@ impl DataSurvey {
         Ok(Self { source, data, accepted: accepted.to_vec(), split, partition, nearest, clouds })
     }
 
-    /// Returns the stride of training pixels: 3 for fine spectra whose size it divides, since spectra of a small array
-    /// are smooth; else 1.
+    /// Returns the stride of training pixels: 3 for spectra of at least 120 columns whose size it divides, since spectra
+    /// of a small array are smooth; else 1.
     pub(super) fn training_stride(&self) -> usize {
         let Dataset { width, height, .. } = self.data;
         if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
@@ -144,7 +144,7 @@ impl DataSurvey {
         !self.partition.validation.is_empty()
     }
 
-    /// Returns the batch size: the number of training transmitters, at most `most`, with about 2,500 links at most.
+    /// Returns the batch size: the number of training transmitters, at most `most`, with at most [`LINKS`] links.
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
         transmitters.min(LINKS / self.links_per_transmitter()).clamp(1, most)
