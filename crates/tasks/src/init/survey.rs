@@ -144,7 +144,8 @@ impl DataSurvey {
         !self.partition.validation.is_empty()
     }
 
-    /// Returns the batch size: the number of training transmitters, at most `most`, with at most [`LINKS`] links.
+    /// Returns the batch size: the number of training transmitters, at most `most`, and at least 1; with more, a step has
+    /// at most 2,720 links.
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
         transmitters.min(LINKS / self.links_per_transmitter()).clamp(1, most)
