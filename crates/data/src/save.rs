@@ -216,7 +216,7 @@ impl FolderWriter<'_> {
         let gateways = receivers.iter().map(|receiver| receiver.name.as_str()).zip(self.fixed_poses());
         self.write_file("gateway_position.yml", gateway_positions_yaml(gateways))?;
         self.write_locations()?;
-        // Other programs know -100; where it is a reading, the cell is empty.
+        // Other programs read -100 as not received; if it is a reading, the cells of missing links are empty.
         let missing = if is_code_free(powers) { NOT_RECEIVED } else { f64::NAN };
         let mut cells = vec![missing; self.data.locations.len() * receivers.len()];
         for (link, dbm) in self.data.links.iter().zip(powers) {

@@ -41,7 +41,7 @@ impl TableImport {
 }
 
 /// Reads the positions `[rows,3]` of a table in the frame of a model, metres: columns x, y and z, or latitude and longitude
-/// where the frame has them. A table of degrees without heights has this `height`, metres.
+/// if `geodetic` states the zero of the frame. In that case, a table without heights has this `height`, metres.
 ///
 /// # Errors
 /// A file that cannot be read or is no table, or a row without a position; the message has line and column.

@@ -56,7 +56,7 @@ pub struct Kriging {
     /// Number of samples per prediction, 2 to 512; time grows with its cube.
     pub neighbours: usize,
     /// Whether the process is over position and time, with ids as times: only for data with ids in order of time. A
-    /// place has no time, so this is an oracle baseline, which is not ranked: it shows how much spectra vary over time.
+    /// new position has no time, so this is an oracle baseline, which is not ranked: it shows how much spectra vary over time.
     pub time: bool,
 }
 

@@ -238,7 +238,8 @@ impl ReceiverPredictor for Lookup<'_> {
 /// Observation of the same transmitter at the nearest training carrier, for data with several carriers.
 ///
 /// Carriers are compared by the logarithm of their frequency. If no training carrier was observed at the position, the
-/// prediction is the observation at the nearest position of the nearest carrier. It copies: it uses no other carrier.
+/// prediction is the observation at the nearest position of the nearest carrier. It copies one carrier
+/// and does not interpolate between carriers.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};

@@ -36,7 +36,7 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// ```
 ///
 /// A link is a transmitter and a gateway that received it. An empty cell and NaN mark a missing link, and so does -100, unless
-/// `manifest.json` declares other values: `"missing": []` where -100 dBm is a reading. Gateways that received nothing are left
+/// `manifest.json` declares other values: `"missing": []` if -100 dBm is a reading. Gateways that received nothing are left
 /// out with a warning. The id of a transmitter is its row, counted from 0 as in the index files (ids of spectra count from 1),
 /// or line k of `ids.txt`, if there is one. The split of the index files assigns all links of a transmitter to one set.
 /// Gateways are receivers of the same name, in the order of `gateway_position.yml`.

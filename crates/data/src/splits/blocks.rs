@@ -95,7 +95,7 @@ impl Split for TimeBlock {
 /// Split by space: whole cubic cells are drawn at random until the test share is reached. All links of a transmitter
 /// are in one set. Data without transmitter positions are an error.
 ///
-/// No test sample has a training sample in its own cell, so the test measures prediction at unmeasured places. Cells
+/// No test sample has a training sample in its own cell, so the test measures prediction at unmeasured positions. Cells
 /// lie on a grid through the world origin; a sample on a wall belongs to the cell above. Cells are computed in decimal
 /// arithmetic from coordinates and `size_m` as written, since 1.4/0.2 is less than 7 in floating point: use decimal
 /// arithmetic to reproduce a split. The last cell drawn may exceed the share; one cell always remains for training.

@@ -56,7 +56,7 @@ impl ColumnSearch<'_> {
         Ok(PowerColumns::Long { power, receiver, place: self.receiver_position_columns(is_lat_lon) })
     }
 
-    /// Returns whether a column holds several names, each in several rows.
+    /// Returns whether a column holds several names, in two rows each on average, and no number.
     fn has_names(&self, k: usize) -> bool {
         let cells = || self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
         let distinct: BTreeSet<&str> = cells().map(|field| field.text).collect();
@@ -114,7 +114,7 @@ impl ColumnSearch<'_> {
         }
     }
 
-    /// Returns whether a column holds numbers within [`LARGEST`], and empty cells.
+    /// Returns whether the first cells of a column are empty or numbers within [`LARGEST`].
     fn has_powers(&self, k: usize) -> bool {
         let cells = self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
         cells.count() == self.values(k).count() && self.values(k).all(|v| v.abs() <= LARGEST)
