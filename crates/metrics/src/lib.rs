@@ -26,7 +26,7 @@ fn unsupported_task(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<
 }
 
 /// Returns `score(prediction, truth)` of every sample, in order, if `metric` supports them, otherwise
-/// [`Values::NotApplicable`]; the prediction is not clamped.
+/// [`Values::NotApplicable`]; the prediction is not clamped. Errors are those of [`check_paired`].
 fn score_samples(
     metric: &dyn Metric,
     evaluation: &Evaluation<'_>,

@@ -174,7 +174,8 @@ impl Trainer<'_> {
         (curve, kept)
     }
 
-    /// Returns the shortest and longest expected time of the initial search, seconds.
+    /// Returns the shortest and longest expected time of the initial search, seconds, or an error if the initialiser does not
+    /// support data or method.
     fn search_seconds(&self) -> Result<[f64; 2]> {
         let input = InitializerInput {
             data: self.data,
@@ -187,8 +188,8 @@ impl Trainer<'_> {
         self.plan.initializer.search_seconds(&input)
     }
 
-    /// Times a few steps, and returns the quartiles of their times, seconds. The first step allocates memory and is not
-    /// timed, unless it takes long.
+    /// Times a few steps, and returns the quartiles of their times, seconds, or an error of [`Self::step`]. The first step
+    /// allocates memory and is not timed, unless it takes long.
     fn time_steps(&mut self) -> Result<[f64; 3]> {
         let begun = Instant::now();
         let mut seconds = Vec::new();

@@ -61,6 +61,9 @@ impl Trainer<'_> {
     }
 
     /// Runs a prune step: edits and votes of all pruners. Returns the Gaussians before the step; `None` if N did not fall.
+    ///
+    /// # Errors
+    /// Too few Gaussians are left, or a spectrum cannot be read for statistics.
     pub(crate) fn prune(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
@@ -112,7 +115,8 @@ impl Trainer<'_> {
         Votes { keep, rules, closed }
     }
 
-    /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
+    /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards. Errors are those of
+    /// [`Self::survey`].
     fn apply_edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
         let mut computed = vec![None; pruners.len()];
         let contexts = prune_contexts(pruners, context);
@@ -144,7 +148,8 @@ impl Trainer<'_> {
         edit::retain(keep, &mut self.per_gaussian());
     }
 
-    /// Returns the statistics of the Gaussians, including those that the pruner requests at a prune step.
+    /// Returns the statistics of the Gaussians, including those that the pruner requests at a prune step. Errors are those
+    /// of [`Self::survey`].
     fn requested_stats(&self, pruner: &Plugin<dyn Pruner>, context: &StepContext) -> Result<CloudStats> {
         let needs = pruner.needs(&self.cloud, context).resolve_blending(self.stages.method.traits().blends);
         let mut stats = self.stats.clone();
@@ -156,6 +161,9 @@ impl Trainer<'_> {
 
     /// Computes the statistics in `needs` in a pass over training transmitters. Gaussians that cannot be visible, for
     /// example with a closed gate, are skipped: they have zeros, and come first in the order of elimination.
+    ///
+    /// # Errors
+    /// A spectrum cannot be read.
     fn survey(&self, needs: &Needs, context: &StepContext) -> Result<PassStatistics> {
         let gate = gate_product(&self.cloud, &self.plan, context);
         let mut sums = PassStatistics::zeros(needs, self.cloud.len());

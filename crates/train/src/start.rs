@@ -53,7 +53,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Sets the parameters of a blank trainer: the Gaussians that `create_cloud` returns, if the method has Gaussians,
-    /// and the weights.
+    /// and the weights. Errors are those of the initialiser and of [`Self::set_initial`].
     fn initialised_by(
         mut self,
         create_cloud: impl FnOnce(&InitializerInput<'_>, &mut Rng) -> Result<GaussianCloud>,

@@ -188,14 +188,15 @@ impl Trainer<'_> {
     /// Runs one step: batch, gradients, Adam, then densification or pruning if due.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] with step and tensor, [`Error::Device`] of the GPU; the trainer cannot be used afterwards.
-    /// [`Error::Read`] of a spectrum.
+    /// [`Error::NonFinite`] with step and tensor, [`Error::Collapsed`] if a removal leaves too few Gaussians,
+    /// [`Error::Device`] of the GPU, [`Error::Read`] of a spectrum. The trainer cannot be used afterwards.
     pub fn step(&mut self) -> Result<StepReport> {
         // Runs on a thread of the pool, so that parallel loops need not enter it again.
         rayon::scope(|_| self.run_step())
     }
 
-    /// Runs one step on the calling thread and those of its pool: batch, [`Stepper`], edit.
+    /// Runs one step on the calling thread and those of its pool: batch, [`Stepper`], edit. Errors are those of
+    /// [`Self::step`].
     fn run_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         self.before_reset = None;
@@ -229,7 +230,7 @@ impl Trainer<'_> {
     }
 
     /// Changes state and number of the Gaussians as pruners and algorithm 1 prescribe. Returns the state before a removal by
-    /// pruners; `None` without one.
+    /// pruners, `None` without one, or an error as [`Self::change_count`].
     fn edit(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Option<PruneStepState>> {
         for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
@@ -294,6 +295,9 @@ impl Trainer<'_> {
     }
 
     /// Changes N as algorithm 1 prescribes. Returns the Gaussians before a removal by pruners; `None` without one.
+    ///
+    /// # Errors
+    /// Too few Gaussians are left, or a spectrum cannot be read for statistics.
     fn change_count(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let mut unpruned = None;
         match context.phase {
@@ -309,7 +313,7 @@ impl Trainer<'_> {
         Ok(unpruned)
     }
 
-    /// Densifies and resets opacities after `step`, if due.
+    /// Densifies and resets opacities after `step`, if due. Returns an error if too few Gaussians are left.
     fn densify(&mut self, step: u64) -> Result<()> {
         let training = self.plan.training.clone();
         let settings = &training.densify;
@@ -327,7 +331,8 @@ impl Trainer<'_> {
     }
 
     /// Begins fine-tuning with M = 1 everywhere: removes closed Gaussians, unless an exact target has set N, and then the
-    /// columns of pruners. Returns the Gaussians before the removal; `None` if none is removed.
+    /// columns of pruners. Returns the Gaussians before the removal, `None` if none is removed, or an error if too few are
+    /// left.
     fn remove_masks(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let mut unpruned = None;
         if let Some(gates) = self.gates_of(&self.cloud, context).filter(|_| !self.is_exact()) {

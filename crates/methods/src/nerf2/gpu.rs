@@ -89,7 +89,7 @@ impl GpuNerf2<'_> {
         Ok(results)
     }
 
-    /// Runs the forward pass of some items in one step.
+    /// Runs the forward pass of some items in one step, as [`Self::forward`].
     fn forward_together<K: Send>(
         &self,
         groups: &[RayGroup<'_>],

@@ -63,7 +63,7 @@ impl WrfgsLayers {
 
     /// Begins a step for N centres and B transmitters with the weights and the biases of the trunk on the GPU. `derived` adds the
     /// slots of the backward pass, with those of the derivatives by positions that it requests; `None` for predictions. A slot
-    /// that is not used has size 1.
+    /// that is not used has size 1. Returns an error if the memory of the GPU does not suffice.
     fn begin_step<'g>(
         &self,
         gpu: &'g Gpu,

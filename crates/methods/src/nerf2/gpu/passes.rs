@@ -52,7 +52,8 @@ impl<'a> GpuNerf2<'a> {
         Chunk { on: GpuTrunk { trunk, rows: rays * self.samples, first: FIRST, slots }, rays }
     }
 
-    /// Begins a step for chunks of up to `rays` rays, with the weights and the biases of the trunk on the GPU.
+    /// Begins a step for chunks of up to `rays` rays, with the weights and the biases of the trunk on the GPU. Returns an
+    /// error if its memory does not suffice.
     pub(super) fn begin(&self, rays: usize, is_derived: bool) -> Result<GpuStep<'a>> {
         let Chunk { on, .. } = self.chunk(rays, is_derived);
         let (width, outputs) = (self.network.width(), self.network.outputs);
