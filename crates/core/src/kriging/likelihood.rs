@@ -13,6 +13,10 @@ const TIME: [f64; 2] = [1.0, 1e5];
 const TIME_START: f64 = 100.0;
 /// Step sizes of the search, in powers of two.
 const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
+/// Largest number of rounds per step size: each but the last improves the likelihood, maybe by noise in the last digits.
+const ROUNDS: usize = 20;
+/// Smallest relative improvement of a likelihood for which a search moves.
+pub(super) const IMPROVEMENT: f64 = 1e-6;
 
 /// Samples to predict, each from other samples.
 #[derive(Debug)]
@@ -172,15 +176,14 @@ fn search_coordinates(
         _ => true,
     };
     for step in STEPS {
-        // Each round but the last improves the likelihood; the limit covers noise in the last digits.
-        for _ in 0..20 {
+        for _ in 0..ROUNDS {
             let before = best.0;
             for parameter in Parameter::ALL.into_iter().filter(is_searched) {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = scaled_parameter(&best.1, parameter, factor, typical_m) {
                         check()?;
                         let likelihood = log_likelihood(&next);
-                        if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
+                        if likelihood.is_nan() || likelihood <= best.0 + IMPROVEMENT * best.0.abs() {
                             break;
                         }
                         best = (likelihood, next);

@@ -8,6 +8,7 @@
 
 mod marginal;
 
+use super::likelihood::IMPROVEMENT;
 use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, StopCheck, solve};
 use crate::blocks::{SiteSize, block_mean, block_of};
 use crate::neighbours::{Nearest, nearest_before};
@@ -108,18 +109,19 @@ struct Powers<'a> {
 }
 
 impl<'a> Powers<'a> {
+    /// Selects the cases of the likelihood, and subtracts the means from powers and log-distances.
     fn new(links: &'a [PowerLink], receivers: usize) -> Self {
-        let mean =
-            |values: &mut dyn Iterator<Item = f64>| Some(statistics::mean(values)).filter(|mean| mean.is_finite());
-        let level = mean(&mut links.iter().map(|l| l.value)).unwrap_or(0.0);
-        let log = mean(&mut links.iter().filter_map(|l| l.log_distance)).unwrap_or(0.0);
-        let row = |l: &PowerLink| [l.value - level, 1.0, l.log_distance.map_or(0.0, |distance| distance - log)];
+        let mean_power = finite_mean(links.iter().map(|link| link.value));
+        let mean_log = finite_mean(links.iter().filter_map(|link| link.log_distance));
+        let row = |link: &PowerLink| {
+            [link.value - mean_power, 1.0, link.log_distance.map_or(0.0, |distance| distance - mean_log)]
+        };
         let rows = links.iter().map(row).collect();
         let mut by_receiver = vec![Vec::new(); receivers];
         links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
         let cases = by_receiver.par_iter().map(|receiver_links| select_cases(links, receiver_links)).collect();
         let site = SiteSize::new(links.iter().map(|link| in_metres(link.place)));
-        Self { links, by_receiver, cases, rows, mean: [level, log], site }
+        Self { links, by_receiver, cases, rows, mean: [mean_power, mean_log], site }
     }
 
     /// Returns the first point of the search: logarithms of length and noise.
@@ -237,7 +239,7 @@ fn search_pattern(
                     continue;
                 }
                 let value = evaluate(next)?;
-                if value.0 > best.0 + 1e-6 * best.0.abs() {
+                if value.0 > best.0 + IMPROVEMENT * best.0.abs() {
                     (best, at, is_better) = (value, next, true);
                 }
             }
@@ -256,6 +258,11 @@ fn select_cases(links: &[PowerLink], receiver_links: &[usize]) -> Vec<Case> {
     let ranks: Vec<usize> = (0..first).chain(evenly(&later, CASES - first)).collect();
     let given = nearest_before(&order, &ranks, GIVEN, 4, |i| links[i].place);
     ranks.iter().map(|rank| order[*rank]).zip(given).collect()
+}
+
+/// Returns the mean of values; 0 without any, or if it is not finite.
+fn finite_mean(values: impl Iterator<Item = f64>) -> f64 {
+    Some(statistics::mean(values)).filter(|mean| mean.is_finite()).unwrap_or(0.0)
 }
 
 /// Returns a place without its time.
