@@ -74,8 +74,9 @@ impl ImageTree {
             let any_face = order <= orders.all;
             let candidates = if any_face { world.faces.len() as u32 } else { room_faces };
             trials += parents.len() * candidates as usize;
-            let hulls: usize = world.faces[..candidates as usize].iter().map(|face| face.hull.len()).sum();
-            corners += parents.iter().map(|(id, _)| tree.beam(*id).1.len() + 1).sum::<usize>().saturating_mul(hulls);
+            let hull_corners: usize = world.faces[..candidates as usize].iter().map(|face| face.hull.len()).sum();
+            corners +=
+                parents.iter().map(|(id, _)| tree.beam(*id).1.len() + 1).sum::<usize>().saturating_mul(hull_corners);
             if trials > MOST_TRIALS || corners > MOST_CORNERS {
                 return None; // refused before any of them is tested
             }

@@ -123,6 +123,14 @@ fn has_visible_part(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Tr
     true
 }
 
+/// Returns whether `other` lies in the plane of `triangle` and covers `point` of it, up to rounding.
+fn is_hidden_at(triangle: &Triangle, point: DVec3, other: &Triangle) -> bool {
+    let normal = other.normal();
+    let height = |p: DVec3| normal.dot(p - other.corner);
+    let flat = EQUAL * (other.sides[0].length() + other.sides[1].length());
+    triangle.corners().iter().all(|p| height(*p).abs() <= flat) && other.contains(point - height(point) * normal)
+}
+
 /// Returns the volume of a closed surface, m³; negative if the normals point inwards.
 fn signed_volume(mesh: &Mesh) -> f64 {
     let origin = mesh.vertices.first().copied().unwrap_or_default();
@@ -135,25 +143,19 @@ impl Mesh {
     /// of a sheet. Bodies that touch keep their common sides, without which they would be open. `None` if that takes too
     /// long.
     fn one_sided(self) -> Option<Self> {
-        let all: Vec<Triangle> = self.triangles.iter().map(|t| Triangle::new(self.corners(*t))).collect();
-        let (hierarchy, trials) = (Hierarchy::new(&all), Cell::new(0));
-        let mut is_kept = vec![true; all.len()];
-        for i in 0..all.len() {
+        let triangles: Vec<Triangle> = self.triangles.iter().map(|t| Triangle::new(self.corners(*t))).collect();
+        let (hierarchy, trials) = (Hierarchy::new(&triangles), Cell::new(0));
+        let mut is_kept = vec![true; triangles.len()];
+        for i in 0..triangles.len() {
             // Counts each tested box, and ends the search at the limit.
             let count_trial = |_| trials.replace(trials.get() + 1) < MOST_TRIALS;
-            let hides = |k: usize, point: DVec3| {
-                let (other, normal) = (&all[k], all[k].normal());
-                let height = |p: DVec3| normal.dot(p - other.corner);
-                let flat = EQUAL * (other.sides[0].length() + other.sides[1].length());
-                all[i].corners().iter().all(|p| height(*p).abs() <= flat)
-                    && other.contains(point - height(point) * normal)
-            };
             let hiding = |piece: &Triangle| {
                 let middle = piece.corners().iter().sum::<DVec3>() / 3.0;
                 let reach = EQUAL * (piece.sides[0].length() + piece.sides[1].length());
-                hierarchy.near_point(middle, reach, count_trial).find(|&k| k < i && is_kept[k] && hides(k, middle))
+                let hides = |k: &usize| *k < i && is_kept[*k] && is_hidden_at(&triangles[i], middle, &triangles[*k]);
+                hierarchy.near_point(middle, reach, count_trial).find(hides).map(|k| triangles[k])
             };
-            is_kept[i] = has_visible_part(&all[i], |piece| hiding(piece).map(|k| all[k]));
+            is_kept[i] = has_visible_part(&triangles[i], hiding);
         }
         if trials.get() >= MOST_TRIALS {
             return None;
@@ -161,9 +163,9 @@ impl Mesh {
         if is_kept.iter().all(|kept| *kept) {
             return Some(self);
         }
-        let mut kept = is_kept.iter();
+        let mut flags = is_kept.iter();
         let mut single = self.clone();
-        single.triangles.retain(|_| kept.next() == Some(&true));
+        single.triangles.retain(|_| flags.next() == Some(&true));
         let (low, high) = self.bounds();
         let is_body = self.is_closed() && signed_volume(&self).abs() > FLAT * (high - low).length().powi(3);
         Some(if is_body && !single.is_closed() { self } else { single.welded() })

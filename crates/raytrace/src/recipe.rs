@@ -36,7 +36,7 @@ impl SimulationRecipe {
     /// Creates a recipe of spectra: reads the scene file, and hashes its meshes.
     ///
     /// # Errors
-    /// Numbers out of range, an invalid scene, with line and column, or a mesh that cannot be read.
+    /// Numbers out of range, an invalid scene, with line and column, a mesh that cannot be read, or too many links.
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check_counts(samples, points).map_err(Error::Config)?;
         let scene = SceneFile::read(scene)?;

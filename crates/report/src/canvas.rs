@@ -299,7 +299,7 @@ impl Canvas {
         self.add_text(at, Anchor::Middle, true, words.as_ref());
     }
 
-    /// Adds lines of text, centred vertically at `at`.
+    /// Adds lines of text, centred vertically at `y`.
     pub fn lines(&mut self, [x, y]: Point, anchor: Anchor, lines: &[String]) {
         // Half the height of capitals is 0.35 of the text height.
         let first = y + 0.35 * self.letters.size - LINE * (lines.len() as f64 - 1.0) / 2.0;

@@ -204,7 +204,8 @@ pub const FILES: [(&str, &str); 11] = [
     ("report.js", include_str!("../web/report.js")),
 ];
 
-/// Joins all modules to one script without imports, for a self-contained page; `last` is appended.
+/// Joins all modules to one script without imports, each of which is one line, for a self-contained page; `last` is
+/// appended.
 pub fn bundle(last: &str) -> String {
     let mut script = String::from("\"use strict\";\n");
     for (_, text) in FILES {

@@ -204,7 +204,8 @@ impl ViewPane {
         Ok(Arc::clone(fitted))
     }
 
-    /// Reads the model or the last checkpoint of the run again. Returns whether the run is finished, or there is none.
+    /// Reads the model or the last checkpoint of the run again. Returns whether the final model exists, or there
+    /// is no run.
     pub(crate) fn reload(&self) -> Result<bool> {
         let (Some(folder), Some(loaded)) = (&self.folder, &self.loaded) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);

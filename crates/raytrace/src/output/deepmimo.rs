@@ -81,7 +81,7 @@ fn strongest_paths(station: &PreparedReceiver, user: DVec3) -> Vec<PropagationPa
 /// metres. Returns an error if a write failed.
 fn write_path_matrices(paths: &[Vec<PropagationPath>], wavelength: f64, file: &dyn Fn(&str) -> PathBuf) -> Result<()> {
     let most = paths.iter().map(Vec::len).max().unwrap_or(0).max(1);
-    let each = |value: PathValue<'_>| {
+    let matrix = |value: PathValue<'_>| {
         let entry = |(user, k): (usize, usize)| paths[user].get(k).map_or(f64::NAN, value);
         (0..paths.len() * most).map(|i| entry((i / most, i % most))).collect::<Vec<f64>>()
     };
@@ -97,7 +97,7 @@ fn write_path_matrices(paths: &[Vec<PropagationPath>], wavelength: f64, file: &d
         ("inter", &|path| interaction_digits(path).iter().fold(0.0, |number, digit| 10.0 * number + *digit as f64)),
     ];
     for (name, value) in matrices {
-        write_npz(&file(name), name, &[paths.len(), most], &each(value))?;
+        write_npz(&file(name), name, &[paths.len(), most], &matrix(value))?;
     }
     let depth = paths.iter().flatten().map(|path| path.interactions.len()).max().unwrap_or(0).max(1);
     let mut points = Vec::with_capacity(paths.len() * most * depth * 3);

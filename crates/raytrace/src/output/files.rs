@@ -167,7 +167,7 @@ impl DatasetFiles {
             OutputLayout::Channels | OutputLayout::Csi | OutputLayout::DeepMimo => None,
         };
         let is_shared = matches!(layout, OutputLayout::Array | OutputLayout::Channels) && !is_alone;
-        let metadata = metadata(simulator, layout).filter(|_| !is_shared);
+        let metadata = create_metadata(simulator, layout).filter(|_| !is_shared);
         let positions = match scene.moving_receiver {
             Some(_) => TextFile { name: POSES, text: poses_csv(std::iter::empty()) },
             None => TextFile { name: POSITIONS, text: "x,y,z\n".into() },
@@ -248,8 +248,8 @@ impl DatasetFiles {
     }
 }
 
-/// Returns the metadata of the observations in a layout: poses, frequencies, antennas; `None` for DeepMIMO.
-fn metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFile> {
+/// Creates the metadata of the observations in a layout: poses, frequencies, antennas; `None` for DeepMIMO.
+fn create_metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFile> {
     let (receivers, scene) = (simulator.receivers(), simulator.scene());
     let first = &receivers[0];
     let antennas = first.antenna_positions().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();

@@ -166,7 +166,8 @@ impl<'a> Reader<'a> {
     fn read_variable(&mut self, node: Element<'a>) -> Result<()> {
         let pair = node.attribute("name").zip(node.attribute("value"));
         let pair = pair.filter(|(name, value)| !name.is_empty() && !value.contains('$') && value.len() <= LONGEST);
-        let problem = "`default` needs a `name` and a short `value` without `$`; correct it, and give at most 100";
+        let problem = "`default` needs a `name` and a short `value` without `$`; correct it";
+        let problem = format!("{problem}, and give at most {MOST_VARIABLES}");
         self.require(pair.is_some() && self.variables.len() < MOST_VARIABLES, node, problem)?;
         self.variables.extend(pair);
         Ok(())

@@ -251,14 +251,14 @@ impl Region {
         DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
     }
 
-    /// Returns the nearest position of the grid inside the box.
+    /// Returns the nearest position of the grid inside the box, metres.
     fn nearest(&self, position: DVec3) -> DVec3 {
         let position = position.to_array();
         let grain = |k: usize| ((position[k] * GRAINS).round() as i64).clamp(self.low[k], self.high[k]);
         DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
     }
 
-    /// Returns the position mirrored at the walls until it is inside, and mirrors the direction with it.
+    /// Returns the position, metres, mirrored at the walls until it is inside, and mirrors the direction with it.
     fn reflect(&self, position: DVec3, direction: &mut Direction) -> DVec3 {
         let mut inside = self.nearest(position);
         let (low, sides) = (self.low_corner(), self.size());

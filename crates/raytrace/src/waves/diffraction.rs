@@ -60,9 +60,9 @@ impl Wedge {
         let incident = side(PI + (phi - phi_in)) + side(PI - (phi - phi_in));
         let reflected_0 = side(PI - (phi + phi_in));
         let reflected_n = side(PI + (phi + phi_in));
-        let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
+        let grazing_share = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
         // √L cancels the 1/√(2πk) of the coefficient except for 1/√π: see `boundary_term`.
-        let front = Complex::cis(-FRAC_PI_4) * (-once * spreading / (2.0 * n * PI.sqrt()));
+        let front = Complex::cis(-FRAC_PI_4) * (-grazing_share * spreading / (2.0 * n * PI.sqrt()));
         let coefficient = |r0: Complex, rn: Complex, through: Complex| {
             front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
         };

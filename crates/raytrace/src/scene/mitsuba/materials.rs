@@ -65,6 +65,7 @@ impl<'a> Reader<'a> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
         let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required_attribute(node, "type")?);
         let (itu_names, shown) = (material::itu_material_names(), quoted(&id));
+        // The exporter of Blender begins ids with `mat-`.
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
         let itu = itu.filter(|name| kind != "radio-material" || itu_names.contains(name));
