@@ -74,8 +74,8 @@ fn selection_sets(fitting: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
     if !fitting.validation.is_empty() && !fitting.train.is_empty() {
         return (fitting.train.to_vec(), fitting.validation.to_vec());
     }
-    let all = fitting.all();
-    let samples = |out: bool| all.iter().enumerate().filter(move |(k, _)| (k % EVERY == 1) == out).map(|(_, i)| *i);
+    let links = fitting.all();
+    let samples = |out: bool| links.iter().enumerate().filter(move |(k, _)| (k % EVERY == 1) == out).map(|(_, i)| *i);
     (samples(false).collect(), samples(true).collect())
 }
 
@@ -114,7 +114,7 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub(super) trait ReceiverPredictor: Predict + Sized {
     /// Returns the note below a table of scores for the predictors of all receivers, by name; `None` without a note.
-    fn combined_note(each: &[(&str, &Self)]) -> Option<String>;
+    fn combined_note(predictors: &[(&str, &Self)]) -> Option<String>;
 
     /// Returns the predictor without these links, as [`Predict::without`]; `None` also if no sample remains.
     fn leaving_out(&self, links: &[usize]) -> Option<Self> {
@@ -125,7 +125,7 @@ pub(super) trait ReceiverPredictor: Predict + Sized {
 /// One predictor per receiver.
 pub(super) struct ByReceiver<P> {
     /// Receiver names with their predictors; `None` if the receiver has no training link.
-    each: Vec<(String, Option<P>)>,
+    predictors: Vec<(String, Option<P>)>,
     /// Predictor fitted to all links, for receivers without training links.
     pooled: Option<P>,
 }
@@ -144,15 +144,15 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
             let is_unlinked = links.train.is_empty() && links.validation.is_empty() && receivers.len() > 1;
             Ok((strip_control(&receivers[r].name), if is_unlinked { None } else { Some(fit(links)?) }))
         };
-        let each = (0..receivers.len()).map(fit_receiver).collect::<Result<Vec<_>>>()?;
-        let pooled = if each.iter().any(|(_, fitted)| fitted.is_none()) { Some(fit(fitting)?) } else { None };
-        Ok(Self { each, pooled })
+        let predictors = (0..receivers.len()).map(fit_receiver).collect::<Result<Vec<_>>>()?;
+        let pooled = if predictors.iter().any(|(_, fitted)| fitted.is_none()) { Some(fit(fitting)?) } else { None };
+        Ok(Self { predictors, pooled })
     }
 
     /// Returns the predictor of a receiver; without one, that of all links, else that of the first receiver with one.
     fn predictor_for(&self, receiver: usize) -> &P {
-        let fitted = self.each.get(receiver).and_then(|(_, fitted)| fitted.as_ref());
-        let any = || self.each.iter().find_map(|(_, fitted)| fitted.as_ref());
+        let fitted = self.predictors.get(receiver).and_then(|(_, fitted)| fitted.as_ref());
+        let any = || self.predictors.iter().find_map(|(_, fitted)| fitted.as_ref());
         fitted.or(self.pooled.as_ref()).or_else(any).expect("one predictor was fitted at least")
     }
 }
@@ -172,22 +172,22 @@ impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
 
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
         let leave_out = |fitted: &Option<P>| fitted.as_ref()?.leaving_out(links);
-        let each: Vec<_> = self.each.iter().map(|(name, fitted)| (name.clone(), leave_out(fitted))).collect();
+        let predictors: Vec<_> = self.predictors.iter().map(|(name, fitted)| (name.clone(), leave_out(fitted))).collect();
         let pooled = leave_out(&self.pooled);
-        let is_fitted = pooled.is_some() || each.iter().any(|(_, fitted)| fitted.is_some());
-        is_fitted.then(|| Box::new(Self { each, pooled }) as Box<dyn Predict + '_>)
+        let is_fitted = pooled.is_some() || predictors.iter().any(|(_, fitted)| fitted.is_some());
+        is_fitted.then(|| Box::new(Self { predictors, pooled }) as Box<dyn Predict + '_>)
     }
 
     fn is_oracle(&self) -> bool {
-        let fitted = self.each.iter().filter_map(|(_, fitted)| fitted.as_ref()).chain(&self.pooled).next();
+        let fitted = self.predictors.iter().filter_map(|(_, fitted)| fitted.as_ref()).chain(&self.pooled).next();
         fitted.is_some_and(Predict::is_oracle)
     }
 
     fn note(&self) -> Option<String> {
         let predictors: Vec<(&str, &P)> =
-            self.each.iter().filter_map(|(name, fitted)| Some((name.as_str(), fitted.as_ref()?))).collect();
+            self.predictors.iter().filter_map(|(name, fitted)| Some((name.as_str(), fitted.as_ref()?))).collect();
         let unlinked: Vec<&str> =
-            self.each.iter().filter(|(_, fitted)| fitted.is_none()).map(|(name, _)| name.as_str()).collect();
+            self.predictors.iter().filter(|(_, fitted)| fitted.is_none()).map(|(name, _)| name.as_str()).collect();
         let pooled = (!unlinked.is_empty()).then(|| {
             format!(
                 "{} has no training link and is predicted from those of all receivers",

@@ -306,8 +306,8 @@ impl FolderWriter<'_> {
         // The bounds that the reader computes depend on points, locations and ends alone: one link is enough.
         let points = scene.points.iter().map(|point| scene.origin.world(*point)).collect();
         let (locations, links) = (data.locations.clone(), data.links[..1].to_vec());
-        let read = Dataset::of_columns("", scene.ends(), points, locations, links, vec![0.0].into())?.scene;
-        if (read.origin, read.bounds) != (scene.origin, scene.bounds) {
+        let reader = Dataset::of_columns("", scene.ends(), points, locations, links, vec![0.0].into())?.scene;
+        if (reader.origin, reader.bounds) != (scene.origin, scene.bounds) {
             let (low, high) = scene.bounds;
             manifest["bounds"] = serde_json::json!([low, high].map(|corner| scene.origin.world(corner)));
         }

@@ -108,11 +108,11 @@ impl Default for AroundReceivers {
 #[typetag::serde]
 impl Initializer for AroundReceivers {
     fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
-        let near = (self.near * self.count as Real).round() as usize;
+        let near_count = (self.near * self.count as Real).round() as usize;
         let (low, high) = scene.bounds;
         let fixed_ends = scene.fixed_ends();
         let mean = |i: usize| {
-            if i < near {
+            if i < near_count {
                 let centre = fixed_ends[i % fixed_ends.len()].origin().to_array();
                 return centre.map(|x| x + self.spread_m * rng::normal(rng));
             }

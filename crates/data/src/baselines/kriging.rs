@@ -82,11 +82,11 @@ impl Baseline for Kriging {
             return Ok(Box::new(PooledKriging::fit(data, fitting, self.neighbours)?));
         }
         let fit = |fitting: FittingSet<'_>| {
-            let all = fitting_samples(fitting)?;
-            let trend = Trend::fit(data, &all);
-            let fitted = trend.fit_correlation(&all, fitting, self.time)?;
+            let samples = fitting_samples(fitting)?;
+            let trend = Trend::fit(data, &samples);
+            let fitted = trend.fit_correlation(&samples, fitting, self.time)?;
             data.observations.check()?;
-            Ok(Process::new(trend, fitted, all, self.clone()))
+            Ok(Process::new(trend, fitted, samples, self.clone()))
         };
         Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
@@ -137,9 +137,9 @@ impl<'a> Trend<'a> {
 
     /// Returns the residual of the received power of link `i`, dB.
     fn residual_power(&self, i: usize) -> f64 {
-        let mut one = [0.0];
-        self.write_residual(i, 1, &mut one);
-        f64::from(one[0])
+        let mut residual = [0.0];
+        self.write_residual(i, 1, &mut residual);
+        f64::from(residual[0])
     }
 
     /// Returns the most likely correlation, with a scale of time if `time`, and its process variance per value.
@@ -147,13 +147,13 @@ impl<'a> Trend<'a> {
     /// samples, each given the nearest of those before it in random order: the densities multiply to the joint density
     /// (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
     /// Returns the errors of the search.
-    fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
+    fn fit_correlation(&self, samples: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
         let check = || fitting.check_stopped();
         if self.path_loss.is_none() {
-            let ProcessFit { correlation, variance, .. } = fit_observations(self.data, all, time, &check)?;
+            let ProcessFit { correlation, variance, .. } = fit_observations(self.data, samples, time, &check)?;
             return Ok((correlation, variance));
         }
-        let mut order = evenly(all, POWERS);
+        let mut order = evenly(samples, POWERS);
         rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
         let cases = vecchia_cases(self.data, &order, FROM_POWERS);
         let cases =
@@ -259,11 +259,11 @@ impl<'a> Process<'a> {
 }
 
 impl ReceiverPredictor for Process<'_> {
-    fn combined_note(each: &[(&str, &Self)]) -> Option<String> {
-        match each {
+    fn combined_note(predictors: &[(&str, &Self)]) -> Option<String> {
+        match predictors {
             [] => None,
-            [(_, one)] => Some(one.describe_fit()),
-            many => Some(describe_fits(many)),
+            [(_, process)] => Some(process.describe_fit()),
+            processes => Some(describe_fits(processes)),
         }
     }
 
@@ -307,16 +307,17 @@ impl Process<'_> {
 }
 
 /// Returns the description of the fits for several receivers. It lists every number, so that scores can be reproduced.
-fn describe_fits(each: &[(&str, &Process<'_>)]) -> String {
-    let path_loss = if each.iter().any(|(_, process)| process.trend.path_loss.is_some()) {
+fn describe_fits(processes: &[(&str, &Process<'_>)]) -> String {
+    let path_loss = if processes.iter().any(|(_, process)| process.trend.path_loss.is_some()) {
         ", path loss in dBm at 1 m and dB per decade"
     } else {
         ""
     };
-    let list: Vec<String> = each.iter().map(|(name, process)| format!("{name}: {}", process.summarise_fit())).collect();
+    let list: Vec<String> =
+        processes.iter().map(|(name, process)| format!("{name}: {}", process.summarise_fit())).collect();
     format!(
         "Kriging found, of {} receivers, correlations (length scales in m, noise in parts of the variance{path_loss}): {}",
-        each.len(),
+        processes.len(),
         list.join("; ")
     )
 }

@@ -228,10 +228,10 @@ impl Predict for Lookup<'_> {
 }
 
 impl ReceiverPredictor for Lookup<'_> {
-    fn combined_note(each: &[(&str, &Self)]) -> Option<String> {
-        let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
-        let on = if first.data.placed { "held-out blocks" } else { "the validation set" };
-        Some(format!("k-NN uses k = {}, best on {on}", first.k))
+    fn combined_note(predictors: &[(&str, &Self)]) -> Option<String> {
+        let (_, first) = predictors.first().filter(|(_, lookup)| lookup.chosen)?;
+        let held_out = if first.data.placed { "held-out blocks" } else { "the validation set" };
+        Some(format!("k-NN uses k = {}, best on {held_out}", first.k))
     }
 }
 

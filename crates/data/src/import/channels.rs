@@ -182,9 +182,9 @@ impl Grid {
         let (mut size, mut gains) = ([0; 3], Vec::new());
         for (k, path) in files.iter().enumerate() {
             let part = if imag.is_empty() { Part::Whole } else { Part::Real };
-            let here @ [m, a, f] = part.read(path, &import.axes, &mut gains)?;
+            let shape @ [m, a, f] = part.read(path, &import.axes, &mut gains)?;
             if let Some(imag) = imag.get(k) {
-                Part::Imaginary(here).read(imag, &import.axes, &mut gains)?;
+                Part::Imaginary(shape).read(imag, &import.axes, &mut gains)?;
             }
             if k > 0 && [a, f] != size[1..] {
                 let problem =

@@ -55,11 +55,11 @@ impl Split for TimeBlock {
         let test = first..first + length;
         // Ids before the block and after it, without the gaps.
         let (low, high) = (first.saturating_sub(self.gap), test.end.saturating_add(self.gap).min(count));
-        let held = share_count(self.validation, low + count - high);
-        let behind = held.min(count - high);
-        let before = held - behind;
-        let train = (0..low - before).chain(high + behind..count).collect();
-        let validation = (low - before..low).chain(high..high + behind).collect();
+        let held_out = share_count(self.validation, low + count - high);
+        let after = held_out.min(count - high);
+        let before = held_out - after;
+        let train = (0..low - before).chain(high + after..count).collect();
+        let validation = (low - before..low).chain(high..high + after).collect();
         partition_of_locations(data, Partition { train, validation, test: test.collect() })
     }
 
