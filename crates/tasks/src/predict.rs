@@ -29,7 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Settings of [`write_predictions`].
 #[derive(Clone, Debug, Default, Args)]
 pub struct PredictSettings {
-    /// Add prediction intervals that hold with this probability, such as 0.9
+    /// Add prediction intervals that contain the observation with this probability, such as 0.9
     #[arg(long, value_name = "LEVEL", allow_hyphen_values = true)]
     pub interval: Option<f64>,
     /// Predict only for this receiver (name in the data set); repeatable

@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Without a subcommand, it prints licence, size, address and folder of public data sets. The program
-downloads nothing: each entry has a command or the steps for the download. `pwrfgs data check`
-reports files that differ from the known copy or are missing. Its exit code is 0 even then, because
-your copy may be newer.
+Without a subcommand, the command prints licence, citation, size, address and folder of public data
+sets. It downloads nothing: each entry has a command or the steps for the download.
+`pwrfgs data check` reports files that differ from the known copy or are missing. The exit code is 0
+even then, because your copy may be newer.
 
 EXAMPLES
   pwrfgs data

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
 from 0 to 1 (the strongest direction). Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
 float64, stored as float32. The import needs little memory for any number of spectra.
-Writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed split, add
-train_index.txt and test_index.txt (one id per line, from 1).
+For spectra, the command writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed
+split, add train_index.txt and test_index.txt (one id per line, from 1).
 
 EXAMPLES
   python3 -c \"from numpy import *; r = random.rand; savez('my.npz', spectra=r(9,90,360), tx=r(9,3))\"
@@ -74,10 +74,10 @@ pub(crate) struct Import {
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
-    /// Accept a finding that would stop the import; repeatable
+    /// Continue despite a finding that would stop the import; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
-    /// Print how a table was read; write nothing
+    /// Print the recognised columns of a table and some converted rows; write nothing
     #[arg(long, requires = "files")]
     pub(crate) dry_run: bool,
     #[command(flatten)]

@@ -39,7 +39,7 @@ pub(crate) struct Init {
     /// Colour map of camera images, inverted to values: jet, turbo or viridis
     #[arg(long, value_name = "NAME", value_enum, ignore_case = true, hide_possible_values = true)]
     pub(crate) colormap: Option<Colormap>,
-    /// Accept a finding on the data, such as lone-value; repeatable
+    /// Continue despite a finding on the data, such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
 }

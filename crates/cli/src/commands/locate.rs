@@ -55,7 +55,7 @@ pub(crate) struct Locate {
     /// Change a setting of the pipeline, such as data.root=data/ble; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
-    /// Accept a finding on data or observations, such as lone-value; repeatable
+    /// Continue despite a finding on data or observations, such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
     /// Number of samples whose probability density is drawn

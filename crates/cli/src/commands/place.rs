@@ -18,7 +18,7 @@ Coverage is the 10th percentile, over transmitters, of the power at the stronges
 In a simulated scene, `place` selects 1 to 3 receivers at any free positions and compares them with
 the best grid positions. In a data folder with received powers, `place` selects among the measured
 receivers and scores the selection on held-out transmitters.
-Writes place.csv (choice, receiver, position, coverage) and place.png.
+The command writes place.csv (choice, receiver, position, coverage) and place.png.
 
 EXAMPLES
   pwrfgs place office --count 1

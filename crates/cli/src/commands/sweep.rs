@@ -22,9 +22,9 @@ use table::{SweepTable, has_failed};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
-are validated, and their total time is estimated, before the first one starts. Repeat the command to
-resume: it skips finished runs and retries failed ones. The sweep ends with tables and figures in
-DIR/report and, if the file sets `join: true`, an ensemble of all models in DIR/joined.
+are validated, and their total time is estimated, before the first run starts. Repeat the command to
+resume: it skips finished runs and repeats failed runs. After the last run, it writes tables and
+figures to DIR/report and, if the file sets `join: true`, an ensemble of all models to DIR/joined.
 docs/guide.md explains the file; `pwrfgs pipelines` also lists the shipped experiments.
 
 ON A CLUSTER

@@ -37,7 +37,7 @@ pub(crate) struct Update {
     /// Model file to write; must not exist
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Accept a finding, such as far-from-model after a change of the room; repeatable
+    /// Continue despite a finding, such as far-from-model after a change of the room; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
 }
