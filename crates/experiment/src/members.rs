@@ -46,8 +46,8 @@ impl ActiveRun<'_, '_> {
             let split = self.split.of_member(&member)?;
             self.session.observer.on_message(&format!("model {} of {count}", index + 1));
             let mut run = ActiveRun { pipeline: &member, split: &split, session: self.session, begun: Instant::now() };
-            let mut held = RunFolder::claim(&folder.name().join(member_folder(index)), &member)?;
-            match run.train_member(&mut held) {
+            let mut claimed = RunFolder::claim(&folder.name().join(member_folder(index)), &member)?;
+            match run.train_member(&mut claimed) {
                 Ok(Some(model)) => models.push(((index + 1).to_string(), model)),
                 Ok(None) | Err(Error::Stopped) => break,
                 Err(error) => return Err(error),

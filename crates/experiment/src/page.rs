@@ -111,10 +111,10 @@ pub fn with_run<T>(
 /// # Errors
 /// The run has not finished, another process uses it, a file is damaged, or the data have changed.
 pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observer) -> Result<()> {
-    let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
+    let run_folder = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
     let mut rebuild = || {
-        let (text, facts) = with_run(held.path(), observer, |run| Ok((page(run)?, run.record.facts.clone())))?;
-        let path = held.file(REPORT);
+        let (text, facts) = with_run(run_folder.path(), observer, |run| Ok((page(run)?, run.record.facts.clone())))?;
+        let path = run_folder.file(REPORT);
         let digest = FileDigest::of(text.as_bytes());
         if facts.files.get(REPORT) == Some(&digest)
             && files::read(&path).is_ok_and(|bytes| FileDigest::of(&bytes) == digest)
@@ -124,11 +124,11 @@ pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observe
         // The checksum always belongs to the current page.
         let mut facts = Facts { report: true, ..facts };
         facts.files.remove(REPORT);
-        facts.write(held.path())?;
+        facts.write(run_folder.path())?;
         write_atomically(&path, text.as_bytes())?;
         facts.files.insert(REPORT.into(), digest);
-        facts.write(held.path())
+        facts.write(run_folder.path())
     };
     let rebuilt = rebuild();
-    held.settle(rebuilt)
+    run_folder.settle(rebuilt)
 }

@@ -71,7 +71,8 @@ pub fn score_model(
     check_alike(&model.prepare(), &load_split_data(&resolved, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
     let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
-    let has_same = || files::if_found(&path, files::read(&path)).map(|held| held.is_some_and(|held| held == bytes));
+    let has_same =
+        || files::if_found(&path, files::read(&path)).map(|stored| stored.is_some_and(|stored| stored == bytes));
     if !folder.is_new() && !folder.settle(has_same())? {
         let problem = "holds another run; choose another folder or remove it";
         return Err(Error::input(out, problem));
@@ -91,29 +92,29 @@ fn start_or_resume(pipeline: &Pipeline, out: &Path, session: &mut Session<'_>) -
         return RunFolder::inspect(out, pipeline).map(|_| already(scores));
     }
     // Earlier results are read under the lock, since another process could still write.
-    let held = (state != RunState::New).then(|| RunFolder::claim(out, pipeline)).transpose()?;
-    if let Some(folder) = &held {
+    let claimed = (state != RunState::New).then(|| RunFolder::claim(out, pipeline)).transpose()?;
+    if let Some(folder) = &claimed {
         if let Some(scores) = folder.settle(folder.state().read_verified(folder.path(), reported))? {
             return Ok(already(scores));
         }
         check_resumable(folder, pipeline, out)?;
     }
     // A run that has begun has accepted its data.
-    let accepted = held.is_none().then_some(&pipeline.accept[..]);
+    let accepted = claimed.is_none().then_some(&pipeline.accept[..]);
     let (split, findings) = load_with_findings(pipeline, accepted, session.observer)?;
     pipeline.check_data(&split.data)?;
     check_residuals(pipeline, &split, false)?;
     let mut run = ActiveRun { pipeline, split: &split, session, begun };
     // Before a new folder is claimed: invalid settings must not leave files.
-    let trainer = match &held {
+    let trainer = match &claimed {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
         _ if pipeline.members > 1 => run.check_members().map(|()| None)?,
-        held => match run.start_trainer(held.as_ref()) {
+        claimed => match run.start_trainer(claimed.as_ref()) {
             Err(Error::Stopped) => return Ok(Some(RunOutcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
         },
     };
-    let mut folder = match held {
+    let mut folder = match claimed {
         Some(folder) => folder,
         None => match RunFolder::claim(out, pipeline)? {
             folder if folder.is_new() => folder,

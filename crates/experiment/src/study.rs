@@ -113,16 +113,16 @@ impl Study {
     /// Removes runs that equal an earlier one, and adds their folders to `repeated`: counted twice, they would narrow the
     /// intervals.
     fn drop_duplicates(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
-        let (mut kept, mut keys) = (Vec::new(), Vec::new());
+        let (mut distinct_runs, mut keys) = (Vec::new(), Vec::new());
         for run in runs {
             let key = (setting_key(&run)?, run.variant_key()?, run.pipeline.seed);
             if keys.contains(&key) {
                 self.repeated.push(run.folder);
             } else {
                 keys.push(key);
-                kept.push(run);
+                distinct_runs.push(run);
             }
         }
-        Ok(kept)
+        Ok(distinct_runs)
     }
 }

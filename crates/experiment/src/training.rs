@@ -42,11 +42,11 @@ pub(crate) fn device_warnings(n: usize) -> Vec<String> {
 }
 
 impl<'a> ActiveRun<'a, '_> {
-    /// Creates the trainer, from the checkpoint in the folder `held` if there is one, otherwise before the first step.
+    /// Creates the trainer, from the checkpoint in the folder `claimed` if there is one, otherwise before the first step.
     ///
     /// # Errors
     /// Invalid settings, a damaged checkpoint, too little memory; [`Error::Stopped`] once the session is stopped.
-    pub(crate) fn start_trainer(&mut self, held: Option<&RunFolder>) -> Result<Trainer<'a>> {
+    pub(crate) fn start_trainer(&mut self, claimed: Option<&RunFolder>) -> Result<Trainer<'a>> {
         let (pipeline, SplitData { data, partition }) = (self.pipeline, self.split);
         // Invalid strategies are reported before an error of the checkpoint.
         check_available(&pipeline.pruners)?;
@@ -62,7 +62,7 @@ impl<'a> ActiveRun<'a, '_> {
             restored.map(Some).map_err(|e| Error::input(&path, format!("{e}; remove it to start again")))
         };
         new_trainer(pipeline, || {
-            if let Some(folder) = held
+            if let Some(folder) = claimed
                 && let Some(trainer) = folder.settle(restored(folder))?
             {
                 trainer.check_device()?;

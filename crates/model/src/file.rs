@@ -395,13 +395,13 @@ pub fn take_cloud(
 /// # Panics
 /// If `weights` do not have the length of the layout of `stages`.
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
-    let mut rest = weights;
+    let mut remaining = weights;
     for spec in stages.layout().weights {
-        let (weights, tail) = rest.split_at(spec.len());
+        let (weights, tail) = remaining.split_at(spec.len());
         file.put(format!("{prefix}{}", spec.name), spec.shape.clone(), weights.to_vec());
-        rest = tail;
+        remaining = tail;
     }
-    assert!(rest.is_empty(), "the network is as long as its layout");
+    assert!(remaining.is_empty(), "the network is as long as its layout");
 }
 
 /// Takes the tensors of the network under `prefix`, and returns them as a flat weight vector.

@@ -63,8 +63,8 @@ pub(super) fn check_cloud(data: &Dataset) -> Option<Finding> {
     if points.len() < FEWEST || recorded.is_some_and(|count| (count as f64) < OUTSIDE * transmitters.len() as f64) {
         return None;
     }
-    let fits = |meaning: &&Meaning| {
-        let moved = extent(points.iter().map(|point| meaning.2(*point)));
+    let fits = |(.., corrected): &&Meaning| {
+        let moved = extent(points.iter().map(|point| corrected(*point)));
         moved.and_then(outside).is_some_and(|count| count == 0)
     };
     let mend = match MEANINGS.iter().find(fits) {

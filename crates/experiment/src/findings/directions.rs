@@ -35,9 +35,9 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
         median(at_first.map(|(sample, strongest)| sight_angle(data, *sample, *strongest, meaning)))
     };
     let units = MEANINGS.iter().filter(|meaning| meaning.finding == "position-unit");
-    let best = units.map(|meaning| (angle_by(meaning.position), meaning)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    if best.0 < (MUCH_BETTER * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
-        let (degrees, Meaning { finding, words, mend, .. }) = best;
+    let angles = units.map(|meaning| (angle_by(meaning.position), meaning));
+    let (degrees, Meaning { finding, words, mend, .. }) = angles.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if degrees < (MUCH_BETTER * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
         let problem = format!(
             "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \
              transmitter {} at {:?})",

@@ -83,8 +83,8 @@ fn family_name(label: &str) -> String {
             match word {
                 number if is_number(number) => {
                     // Removes the symbols before the number, such as `λ =`.
-                    let kept = words.iter().rposition(|word| !is_symbol(word)).map_or(0, |last| last + 1);
-                    words.truncate(kept);
+                    let count = words.iter().rposition(|word| !is_symbol(word)).map_or(0, |last| last + 1);
+                    words.truncate(count);
                 }
                 word => words.push(word),
             }

@@ -257,13 +257,13 @@ fn variant_names(variants: &[&Labels]) -> Vec<String> {
 
 /// Removes repeated items, keeping the first of each; in the order of `items`.
 pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
-    let mut kept = Vec::new();
+    let mut unique = Vec::new();
     for item in items {
-        if !kept.contains(&item) {
-            kept.push(item);
+        if !unique.contains(&item) {
+            unique.push(item);
         }
     }
-    kept
+    unique
 }
 
 #[cfg(test)]
