@@ -123,6 +123,7 @@ pub(crate) fn project<'py>(
     projector: &Bound<'py, PyAny>,
     elevation_deg: [f64; 2],
 ) -> PyResult<Bound<'py, PyAny>> {
+    // Only the check of the image plane uses the rasterizer.
     let alpha = "AlphaBlending()".into_pyobject(py)?.into_any();
     let view = View::new(projector, &alpha, pose, (height, width), elevation_deg)?;
     let inputs = read_primitives(means, quats, scales, opacities)?;

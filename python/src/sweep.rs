@@ -90,7 +90,7 @@ pub(crate) fn sweep<'py>(
     Ok(ends)
 }
 
-/// Returns the exception of a run that has not finished.
+/// Returns the exception of a run that failed or was stopped; `None` for a finished one.
 pub(crate) fn exception_of(py: Python<'_>, end: Result<RunOutcome>) -> Option<Bound<'_, PyAny>> {
     let error = match end {
         Ok(RunOutcome::Finished { .. }) => return None,

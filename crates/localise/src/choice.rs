@@ -57,8 +57,8 @@ pub(crate) struct ComparedSamples<'a> {
 
 impl ComparedSamples<'_> {
     /// Returns the settings with the highest mean log density at the true positions of the samples, for this `share` of the
-    /// model; default settings without samples, with the scale of the misfits in `nearest`. `half_spacing` is half the
-    /// distance of neighbouring positions, metres.
+    /// model; default settings without samples. The scale is the median of the least misfits in `nearest`, or 1 if that is
+    /// not above 0. `half_spacing` is half the distance of neighbouring positions, metres.
     pub(crate) fn most_likely_choice(&self, share: f32, half_spacing: f64) -> Choice {
         let Self { positions, samples, nearest } = *self;
         let typical = median(nearest.iter().map(|near| least_misfit(near)).filter(|m| m.is_finite()));

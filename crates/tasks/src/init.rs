@@ -57,7 +57,7 @@ impl DataSurvey {
     /// returns notes on the settings that depend on the number of positions, the first on models and steps.
     ///
     /// # Errors
-    /// A path that is not UTF-8.
+    /// A path that is not UTF-8, or an invalid `name`.
     pub fn suggest_pipeline(&self, name: &str, effort: Effort, out: &Path) -> Result<(Pipeline, Vec<String>)> {
         let mut set = vec![
             format!("name={name}"),

@@ -127,8 +127,8 @@ pub fn locate(
     Ok(Localisation { rows, text, title, geodetic, map: empty_map(&locator, data) })
 }
 
-/// Reports the fit of a locator to the observer, or warns that it has no regions. `is_predicted`: its fingerprints are
-/// predictions; `validation` is the number of all validation positions.
+/// Reports the fit of a locator to the observer, with a warning if it has no validation samples. `is_predicted`: its
+/// fingerprints are predictions; `validation` is the number of all validation positions.
 fn report_fit(locator: &Locator<'_>, is_predicted: bool, validation: usize, observer: &mut dyn Observer) {
     if is_predicted {
         observer.on_message(&describe_predictions(locator));

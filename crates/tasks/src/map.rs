@@ -77,10 +77,11 @@ pub struct RadioMap {
     geodetic: Option<Geodetic>,
 }
 
-/// Maps the predictions of a model over a plane; `observer` receives the progress, and a description of default bounds.
+/// Maps the predictions of a model over a plane; `observer` receives the progress, and descriptions of default bounds
+/// and spacing.
 ///
 /// # Errors
-/// Invalid settings, or a model whose input is not a position.
+/// Invalid settings, a model whose input is not a position, or no `bounds` for a model that suggests none.
 pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Observer) -> Result<RadioMap> {
     let plane = MapPlane::parse(&settings.plane)?;
     let names = plane.axis_names();

@@ -179,7 +179,7 @@ pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>)
     Ok(Plan { order, variances, text })
 }
 
-/// Returns the candidates in the region of `--region`, all without it; an error if it has none.
+/// Returns the candidates in the region of `--region`, all without this option; an error if the region has none.
 fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3]>> {
     let Some(text) = &settings.region else { return Ok(places.thinned_candidates(|_| true)) };
     let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;

@@ -222,7 +222,7 @@ impl RowPredictor<'_> {
             return Err(not_finite_error(task, &row));
         }
         let interval = self.factors.as_ref().map(|factors| {
-            let deviation = self.model.deviation(row.query()).unwrap_or(1.0);
+            let deviation = self.model.deviation(row.query()).unwrap_or(1.0); // equal for all without an estimate
             factors.interval(task, &task.shown(image.clone()), deviation)
         });
         Ok((row, PredictionImage { image, spread, interval }))

@@ -77,7 +77,7 @@ impl Model {
             let images = ready.predict_many(queries);
             for ((query, image), numbers) in queries.iter().zip(images).zip(numbers.chunks_exact_mut(count)) {
                 numbers.copy_from_slice(&image.pixels);
-                let deviation = ready.deviation(*query).unwrap_or(1.0);
+                let deviation = ready.deviation(*query).unwrap_or(1.0); // equal for all without an estimate
                 let interval = factors.interval(setup.task, &setup.task.shown(image), deviation);
                 ends[0].extend(interval.lower.pixels);
                 ends[1].extend(interval.upper.pixels);

@@ -21,6 +21,9 @@ use pwrfgs_core::{Dataset, Error, Receiver, Result, files};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+/// Largest number of names in a warning.
+const LISTED: usize = 8;
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Data, split, metrics and baselines are those of pipeline.ron next to the model, or of the pipeline
@@ -201,7 +204,7 @@ fn warn_of_moved_receivers(data: &Dataset, ensemble: &Ensemble) {
     let moved = pairs.filter(|pair| pair.0.name != pair.1.name || is_moved(pair));
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
-        let names = join_names(names.iter(), 8);
+        let names = join_names(names.iter(), LISTED);
         output::print_warning(&format!("name or pose of receivers differs from that of the model: {names}"));
     }
 }

@@ -54,7 +54,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     if let Some(file) = &arguments.save {
         return save_page(&arguments.sides, file, verbosity);
     }
-    let sides = RunProgress::observe(verbosity, |progress| open_panes(&arguments.sides, progress))?;
+    let panes = RunProgress::observe(verbosity, |progress| open_panes(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
         // Only the address on stdout, for pipes.
@@ -64,7 +64,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
             output::print_note("cannot start a browser; open the address yourself");
         }
     };
-    show(sides, PageHost::Browser, ready, &stop)
+    show(panes, PageHost::Browser, ready, &stop)
 }
 
 /// Writes the room of a finished run as a page; `sides` must be this run alone.

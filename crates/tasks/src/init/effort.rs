@@ -98,8 +98,8 @@ impl Sizing {
         // takes about as long as two steps at few receivers.
         let has_short_steps = is_power && !survey.is_full(batch);
         let models = if has_short_steps { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
-        let models =
-            Some(survey.known_parts().max(1)).filter(|parts| *parts < 4).map_or(models, |parts| models.min(parts));
+        let parts = survey.known_parts().max(1);
+        let models = if parts < 4 { models.min(parts) } else { models };
         let mut set = vec![
             "pruners=[]".into(),
             "training.densify_until=0".into(),

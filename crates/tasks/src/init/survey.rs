@@ -244,6 +244,7 @@ pub fn suggest_split(data: &Dataset) -> Result<(String, Partition)> {
             return Ok((choice, partition));
         }
     }
+    // The error of this split, or its sets, of which one is empty.
     Ok(("Random()".into(), split_by("Random()")?))
 }
 

@@ -65,7 +65,7 @@ pub(super) fn predicted_samples(ensemble: &Ensemble, progress: Progress<'_>) -> 
     Ok(SplitData { data, partition })
 }
 
-/// Predicts the observations of `links` between `positions` and the receivers of the model.
+/// Predicts the observations of `links` between `positions` and the receivers of the model; spectra are rounded to 8 bits.
 fn predict_links(
     ensemble: &Ensemble,
     positions: &[[f64; 3]],
