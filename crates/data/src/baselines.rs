@@ -172,7 +172,8 @@ impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
 
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
         let leave_out = |fitted: &Option<P>| fitted.as_ref()?.leaving_out(links);
-        let predictors: Vec<_> = self.predictors.iter().map(|(name, fitted)| (name.clone(), leave_out(fitted))).collect();
+        let predictors: Vec<_> =
+            self.predictors.iter().map(|(name, fitted)| (name.clone(), leave_out(fitted))).collect();
         let pooled = leave_out(&self.pooled);
         let is_fitted = pooled.is_some() || predictors.iter().any(|(_, fitted)| fitted.is_some());
         is_fitted.then(|| Box::new(Self { predictors, pooled }) as Box<dyn Predict + '_>)

@@ -99,12 +99,15 @@ struct Sink<'a> {
     elevation: Option<Elevation>,
     path: PathBuf,
     progress: Progress<'a>,
+    /// Output file; `None` before [`Self::begin`].
     file: Option<BufWriter<File>>,
     shape: [usize; 3],
     /// Input type and output type.
     numbers: (Number, Number),
+    /// Number of spectra so far.
     done: usize,
     range: Range,
+    /// Pixels of one spectrum as floats: a work buffer.
     bytes: Vec<u8>,
 }
 

@@ -65,7 +65,7 @@ impl Cursor {
 }
 
 impl Part {
-    /// Appends the gains of a file to `gains`, row-major, and returns M, A and F; imaginary parts go to the last `gains`. `names`
+    /// Appends the gains of a file to `gains`, row-major, and returns M, A and F; imaginary parts are written into those read last. `names`
     /// are those of the axes of the file, such as `m,a,f`. Returns an error for names that do not fit the axes, or imaginary
     /// parts that do not fit the real ones.
     pub(super) fn read(self, path: &Path, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
