@@ -93,7 +93,7 @@ impl Method for VirtualTransmitters {
         MethodTraits { task, columns, requires, differentiates_positions: true, ..MethodTraits::default() }
     }
 
-    /// The cloud is independent of the transmitter.
+    /// Returns the cloud, which does not depend on the transmitter.
     fn gaussians(&self, _: &MeasurementSetup, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
         let (none, calibration) = (Deltas::default(), Calibration::AsReleased); // without a lower limit of the scales
         let activation = Activation { calibration, replaces_signals: false, channels: 2 };

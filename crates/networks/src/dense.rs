@@ -279,17 +279,18 @@ pub fn amplitude_slope(z: Real) -> Real {
     }
 }
 
-/// Returns the sum of values, in 16 fixed lanes: one order of additions on every machine, and vectorised.
+/// Returns the sum of values, in fixed lanes: one order of additions on every machine, and vectorised.
 #[inline(always)]
 fn lane_sum(values: &[Real]) -> Real {
-    let mut lanes: [Real; 16] = [0.0; 16];
-    let (whole, rest) = values.as_chunks::<16>();
+    const LANES: usize = 16;
+    let mut lanes: [Real; LANES] = [0.0; LANES];
+    let (whole, remainder) = values.as_chunks::<LANES>();
     for chunk in whole {
-        for lane in 0..16 {
+        for lane in 0..LANES {
             lanes[lane] += chunk[lane];
         }
     }
-    for (lane, v) in rest.iter().enumerate() {
+    for (lane, v) in remainder.iter().enumerate() {
         lanes[lane] += v;
     }
     lanes.iter().sum()

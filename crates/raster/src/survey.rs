@@ -5,8 +5,8 @@ use crate::blend::{PIXELS, TILE, Tile};
 use crate::canvas::gather_tile;
 use pwrfgs_core::{Real, SplatStats, SurveyInputs};
 
-/// First splats of a pixel: value and index in the list of the tile, best first.
-type First = Vec<(Real, usize)>;
+/// Best splats of a pixel: value and index in the list of the tile, best first.
+type TopSplats = Vec<(Real, usize)>;
 
 /// Survey of one tile.
 pub(crate) struct SurveyTile<'a, 'b> {
@@ -57,13 +57,13 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
         let Self { tile, survey, .. } = &self;
         let mut tile_stats = vec![SplatStats::default(); tile.list.len()];
         let mut slopes = Slopes::new(&self);
-        let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
+        let mut top: Vec<TopSplats> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
         let mut transmittance = tile.initial_transmittance();
-        for (k, (&i, &[top, end])) in tile.list.iter().zip(tile.rows).enumerate() {
+        for (k, (&i, &[first, end])) in tile.list.iter().zip(tile.rows).enumerate() {
             let i = i as usize;
             let splat = tile.splat_row(i);
             let stats = &mut tile_stats[k];
-            for row in top as usize..end as usize {
+            for row in first as usize..end as usize {
                 if !transmittance.is_live(row) {
                     continue;
                 }
@@ -81,7 +81,7 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
                     add_pixel(stats, survey, pixel, w);
                     if let Some((count, truth, strengths)) = survey.top {
                         let value = (-(strengths[i] - truth[pixel]).abs()).exp() * w;
-                        insert_top(&mut first[p], count, (value, k));
+                        insert_top(&mut top[p], count, (value, k));
                     }
                     if let (Some(slopes), Some((signals, _))) = (&mut slopes, survey.slopes) {
                         let signal = &signals[i * slopes.channels..][..slopes.channels];
@@ -96,7 +96,7 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
                 }
             }
         }
-        first.iter().flatten().for_each(|&(_, k)| tile_stats[k].top = true);
+        top.iter().flatten().for_each(|&(_, k)| tile_stats[k].top = true);
         tile_stats
     }
 }
@@ -111,13 +111,13 @@ fn add_pixel(stats: &mut SplatStats, survey: &SurveyInputs<'_>, pixel: usize, w:
     stats.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
 }
 
-/// Inserts an entry into the first splats of a pixel, of which the `count` with the largest values are kept; ties keep
+/// Inserts an entry into the best splats of a pixel, of which the `count` with the largest values are kept; ties keep
 /// the earlier one.
-fn insert_top(first: &mut First, count: usize, entry: (Real, usize)) {
-    let at = first.partition_point(|(value, _)| *value >= entry.0);
+fn insert_top(top: &mut TopSplats, count: usize, entry: (Real, usize)) {
+    let at = top.partition_point(|(value, _)| *value >= entry.0);
     if at < count {
-        first.insert(at, entry);
-        first.truncate(count);
+        top.insert(at, entry);
+        top.truncate(count);
     }
 }
 

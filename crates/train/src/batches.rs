@@ -23,12 +23,12 @@ impl Batches {
     /// Creates batches of the links `train` of `data`, which are sorted.
     pub(crate) fn new(data: &Dataset, train: Vec<usize>) -> Self {
         let same = |a: &usize, b: &usize| data.links[*a].location == data.links[*b].location;
-        let mut begin = 0;
-        let transmitters = train.chunk_by(same).map(|links| {
-            begin += links.len();
-            begin - links.len()..begin
-        });
-        Self { transmitters: transmitters.collect(), train, order: (u64::MAX, Vec::new()) }
+        let mut transmitters: Vec<Range<usize>> = Vec::new();
+        for links in train.chunk_by(same) {
+            let begin = transmitters.last().map_or(0, |links| links.end);
+            transmitters.push(begin..begin + links.len());
+        }
+        Self { transmitters, train, order: (u64::MAX, Vec::new()) }
     }
 
     /// Returns the links of the training set.

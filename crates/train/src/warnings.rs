@@ -225,13 +225,13 @@ fn half_diagonal((low, high): ([Real; 3], [Real; 3])) -> Real {
 /// Returns the first step at which densification checks sizes; `None` if it never does.
 fn first_size_step(settings: &Densify) -> Option<u64> {
     let after = settings.from.max(settings.large_after);
-    let step = settings.every * (after.checked_div(settings.every)? + 1);
+    let step = settings.every.checked_mul(after.checked_div(settings.every)?.checked_add(1)?)?;
     (settings.large_above > 0.0 && densify::is_due(settings, step)).then_some(step)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{count_descendants, is_collapse};
+    use super::{Densify, count_descendants, first_size_step, is_collapse};
 
     #[test]
     fn collapse_leaves_less_than_a_twentieth() {
@@ -240,6 +240,12 @@ mod tests {
         for (left, before, expected) in cases {
             assert_eq!(is_collapse(left, before), expected, "{left} of {before}");
         }
+    }
+
+    #[test]
+    fn sizes_are_first_checked_after_the_set_step() {
+        let first = |large_after| first_size_step(&Densify { large_after, ..Densify::default() });
+        assert_eq!([3_000, 3_050, u64::MAX].map(first), [Some(3_100), Some(3_100), None]);
     }
 
     #[test]

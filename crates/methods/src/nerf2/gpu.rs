@@ -214,12 +214,13 @@ impl GpuNerf2<'_> {
         let (GpuActivations { group, rays, shared, attenuation, raw }, outputs) = (chunk, self.network.outputs);
         let (walk, bands) = (&groups[*group].walk, outputs / 2);
         let (mut d_factors, _) = shared.zero_cotangents();
-        let of_pass = |(pass, raw): (usize, &Vec<Real>)| {
+        let mut d_raw = Vec::with_capacity(raw.len());
+        for (pass, raw) in raw.iter().enumerate() {
             let d_sum = |i: usize| d(chunk, [pass, rays.start + i / bands, i % bands]);
             let d_sums: Vec<[Real; 2]> = (0..rays.len() * bands).map(d_sum).collect();
-            shared.spread_live(&walk.ray_sums_vjp(shared, raw, &d_sums, &mut d_factors), (outputs, self.samples))
-        };
-        let d_raw = raw.iter().enumerate().map(of_pass).collect();
+            let d_live = walk.ray_sums_vjp(shared, raw, &d_sums, &mut d_factors);
+            d_raw.push(shared.spread_live(&d_live, (outputs, self.samples)));
+        }
         (walk.paths_vjp(shared, attenuation, &d_factors), d_raw)
     }
 }

@@ -107,7 +107,7 @@ impl Splatting {
     /// of `sums`. Returns the loss; 0 for given cotangents.
     ///
     /// # Errors
-    /// The GPU failed; the sums are then unchanged.
+    /// The GPU failed, or its tile lists would be too long; the sums are then unchanged.
     pub(super) fn gpu_draw_vjp(
         &self,
         gpu: &Gpu,

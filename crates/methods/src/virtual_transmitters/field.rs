@@ -93,7 +93,7 @@ pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelIn
     assert_eq!(d.len(), links.value_count(), "one cotangent per link");
     let groups = antenna_groups(cloud, None, links);
     let per_metre = wavelengths_per_metre(links);
-    let block = links.positions.len().div_ceil(BLOCKS).max(64);
+    let block = links.positions.len().div_ceil(BLOCKS).max(64); // positions
     let blocks = links.positions.len().div_ceil(block);
     let tasks = (0..groups.len() * blocks).into_par_iter().map(|t| {
         let (group, from) = (&groups[t / blocks], t % blocks * block);
