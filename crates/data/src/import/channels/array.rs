@@ -65,9 +65,9 @@ impl Cursor {
 }
 
 impl Part {
-    /// Appends the gains of a file to `gains`, row-major, and returns M, A and F; imaginary parts are written into those read last. `names`
-    /// are those of the axes of the file, such as `m,a,f`. Returns an error for names that do not fit the axes, or imaginary
-    /// parts that do not fit the real ones.
+    /// Appends the gains of a file to `gains`, row-major, and returns M, A and F; writes imaginary parts into the gains that
+    /// were read last. `names` are those of the axes of the file, such as `m,a,f`. Returns an error for a file that is no
+    /// array, names that do not fit the axes, or imaginary parts that do not fit the real ones.
     pub(super) fn read(self, path: &Path, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
         if extension(path) == "mat" {
             let (mat, npy) = (path.display(), path.with_extension("npy"));
