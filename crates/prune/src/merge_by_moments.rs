@@ -94,6 +94,7 @@ fn merge_rows(cloud: &mut GaussianCloud, [i, j]: [usize; 2], [a, b]: [f64; 2]) {
     }));
     let (scales, quat) = joint.principal_axes();
     let volume: f64 = scales.iter().product();
+    // These limits keep logarithms and logits finite.
     cloud.log_scales[i] = scales.map(|s| s.max(1e-9).ln() as Real);
     cloud.quats[i] = quat.map(|q| q as Real);
     cloud.opacity_logits[i] = logit((mass / volume.max(1e-30)).clamp(1e-6, 0.99) as Real);

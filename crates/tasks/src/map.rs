@@ -153,7 +153,7 @@ fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -
         let problem = "--bounds: required for a model without training positions and Gaussians";
         return Err(Error::Config(problem.into()));
     }
-    Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and all receivers"))
+    Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and mapped receivers"))
 }
 
 /// Describes the default bounds; `source` names what they contain.

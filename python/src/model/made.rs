@@ -52,7 +52,8 @@ fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResu
 }
 
 /// Creates the model of `Model.from_arrays` from converted arguments: `cloud` are columns as in `Trainer.set_cloud`,
-/// `method` is RON text, `weights` are arrays by name.
+/// `method` is RON text, `weights` are arrays by name, `receiver` is name, position and orientation, `size` is height and
+/// width, `tx` are the training positions.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
 pub(crate) fn model_of(

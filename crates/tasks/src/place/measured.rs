@@ -51,7 +51,7 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
     let mut choices: Vec<PlacedReceivers> =
         subsets.iter().map(|(name, subset)| powers.score_subset(name, subset)).collect();
     choices.extend(powers.reference_choices(count, settings.seed));
-    let (search, chosen) = (subsets[0].0, &subsets[0].1.receivers);
+    let (search, ReceiverSubset { receivers: chosen, .. }) = &subsets[0];
     let names: Vec<String> = chosen.iter().map(|&r| powers.name_and_position(r).0).collect();
     notes.push(format!("{search} choice: {}", names.join(", ")));
     let title = format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1));
