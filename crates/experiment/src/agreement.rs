@@ -71,8 +71,8 @@ impl Agreement {
         })
     }
 
-    /// Returns whether most links that should lie inside the intervals of the model lie outside, or most transmitters
-    /// outside its site, where intervals are wide. False for a model without calibration.
+    /// Returns whether most links that should lie inside the intervals of the model lie outside, or most transmitters lie
+    /// outside its site. There, intervals are too wide to decide. False for a model without calibration.
     pub fn is_far(&self) -> bool {
         // With few calibration blocks, the level is low and many links of right data lie outside.
         let count = self.scores.len() as f64;

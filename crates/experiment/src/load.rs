@@ -62,6 +62,7 @@ pub fn load_with_findings(
         }
     }
     data.estimate_receivers(&partition.train);
+    // A sparse split has few training samples on purpose, so it is not checked.
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
     let findings = check_findings(&data, judged, accepted, observer)?;
     Ok((SplitData { data, partition }, findings))

@@ -110,11 +110,8 @@ impl Npz {
         let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
         let n = p.len();
         let is_local = model.stages.origin.is_zero();
-        self.put(
-            "tx.position",
-            &[3],
-            if is_local { encode_reals(&tx.map(|v| v as Real)) } else { encode_doubles(&tx) },
-        )?;
+        let position = if is_local { encode_reals(&tx.map(|v| v as Real)) } else { encode_doubles(&tx) };
+        self.put("tx.position", &[3], position)?;
         self.put("tx.scales", &[n, 3], encode_reals(p.scales.as_flattened()))?;
         self.put("tx.quats", &[n, 4], encode_reals(p.quats.as_flattened()))?;
         self.put("tx.opacities", &[n], encode_reals(&p.opacities))?;

@@ -60,10 +60,10 @@ pub struct Pipeline {
     /// Training settings (algorithm 1 of the paper).
     #[serde(default)]
     pub training: Checked<Training>,
-    /// Number of models, 1 to 100, trained one after another with seeds from `seed` on; their mean predicts. The training and
-    /// validation sets are divided, in blocks of the split, into as many parts as there are models, at most four, and each
-    /// model leaves out one part. Residuals and intervals are fitted to the left-out parts, so the split needs no
-    /// `validation` share. The time is that of all models.
+    /// Number of models, 1 to 100, trained one after another with seeds from `seed` on; their mean predicts. For several, the
+    /// training and validation sets are divided, in blocks of the split, into as many parts as there are models, at most
+    /// four, and each model leaves out one part. Residuals and intervals are fitted to the left-out parts, so the split needs
+    /// no `validation` share. The time is that of all models.
     #[serde(default = "defaults::members")]
     pub members: usize,
     /// Gaussian process that predicts the residuals of the trained model, such as `Kriged()`; without it, the model

@@ -157,17 +157,17 @@ fn score_flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> 
     // The last pixel takes the position of the first.
     let ends = |axis: AngleAxis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
     let (across, up) = (ends(azimuth, plane.width), ends(elevation, plane.height));
-    let flip = |d: DVec3, is_rows: bool| {
+    let mirrored = |d: DVec3, is_rows: bool| {
         let (a, e) = (d.y.atan2(d.x), d.z.atan2(d.x.hypot(d.y)));
         let (a, e) = if is_rows { (a, up - e) } else { (across - a, e) };
         DVec3::new(e.cos() * a.cos(), e.cos() * a.sin(), e.sin())
     };
-    let angle = |flip_name: Flip, is_rows: bool| {
+    let score = |flip: Flip, is_rows: bool| {
         let pairs: Vec<DirectionPair> =
-            pairs.iter().map(|(sight, strongest)| (*sight, flip(*strongest, is_rows))).collect();
-        (flip_name, median_angle(&pairs, best_rotation(&pairs)))
+            pairs.iter().map(|(sight, strongest)| (*sight, mirrored(*strongest, is_rows))).collect();
+        (flip, median_angle(&pairs, best_rotation(&pairs)))
     };
-    vec![angle(COLUMNS, false), angle(ROWS, true)]
+    vec![score(COLUMNS, false), score(ROWS, true)]
 }
 
 /// Returns the median angle of `pairs` after rotating the first direction of each, degrees.

@@ -35,7 +35,7 @@ impl Choice {
         SHARES.map(|share| NOISES.map(|noise| Self { share, noise, variance: 1.0 })).concat()
     }
 
-    /// Returns the fit of residuals, given that of Kriging.
+    /// Returns the fit of residuals, given that of Kriging: with this share, and noise and variance times these factors.
     pub(super) fn apply(self, fit: &ProcessFit) -> ProcessFit {
         let correlation = Correlation { noise: self.noise * fit.correlation.noise, ..fit.correlation };
         let trend = ResidualTrend { share: self.share, ..fit.trend };

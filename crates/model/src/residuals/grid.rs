@@ -15,7 +15,7 @@ pub(crate) struct CoarseGrid {
     size: [usize; 2],
 }
 
-/// Four stored pixels around a pixel, with their weights.
+/// Indices of four stored rows or columns around a row or column of pixels, with their weights.
 type Node = [(usize, Real); 4];
 
 impl CoarseGrid {
@@ -98,9 +98,9 @@ impl CoarseGrid {
     }
 }
 
-/// Returns the four stored pixels around pixel `at` and their weights of a cubic convolution (Keys, IEEE Transactions
-/// on Acoustics, Speech, and Signal Processing 29, 1981). Beyond the border, the last stored pixel repeats, or
-/// the first follows if the image `wraps`.
+/// Returns the four of `count` stored rows or columns around number `at` of the image, and their weights of a cubic
+/// convolution (Keys, IEEE Transactions on Acoustics, Speech, and Signal Processing 29, 1981). Beyond the border, the last
+/// stored one repeats, or the first follows if the image `wraps`.
 fn cubic_node(at: usize, stride: usize, count: usize, wraps: bool) -> Node {
     let (left, f) = (at / stride, (at % stride) as Real / stride as Real);
     let weights = [
