@@ -98,7 +98,7 @@ impl Colormap {
         let step = (image.width() as usize * image.height() as usize / SAMPLED).max(1);
         let pixels: Vec<[u8; 3]> = image.pixels().step_by(step).map(|pixel| pixel.0).collect();
         let is_saturated = |[r, g, b]: &&[u8; 3]| r.max(g).max(b).abs_diff(*r.min(g).min(b)) > GREY;
-        // A grey image has coloured pixels in less than a quarter of its area.
+        // An image counts as grey if less than a quarter of its pixels have a colour.
         if 4 * pixels.iter().filter(is_saturated).count() < pixels.len() {
             return None;
         }

@@ -444,5 +444,9 @@ mod tests {
         assert_eq!(crate::read_transmitters(&name("a.csv", &gzip.finish().unwrap())).unwrap().len(), 2);
         let latin = name("latin.csv", b"\"z\xfcrich\";x;y;z\n\xfc;1,5;2;3\n");
         assert_eq!(crate::read_transmitters(&latin).unwrap(), [[1.5, 2.0, 3.0]]);
+        let marked = b"\xef\xbb\xbfz\xfcrich";
+        for bytes in [Cow::Borrowed(&marked[..]), Cow::Owned(marked.to_vec())] {
+            assert_eq!(TableText::decode(Path::new("a.csv"), bytes).unwrap().text, "zürich");
+        }
     }
 }

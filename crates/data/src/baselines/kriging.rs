@@ -143,8 +143,8 @@ impl<'a> Trend<'a> {
     }
 
     /// Returns the most likely correlation, with a scale of time if `time`, and its process variance per value.
-    /// Without a path-loss model as [`fit_observations`]. With one, the likelihood is that of at most [`POWERS`]
-    /// samples, each given the nearest of those before it in random order: the densities multiply to the joint density
+    /// Without a path-loss model, fits as [`fit_observations`] does. With one, the likelihood is that of at most
+    /// [`POWERS`] samples, each given the nearest of those before it in random order: the densities multiply to the joint density
     /// (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
     /// Returns the errors of the search.
     fn fit_correlation(&self, samples: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {

@@ -161,7 +161,7 @@ struct Lookup<'a> {
 impl<'a> Lookup<'a> {
     /// Creates a lookup of the `k` nearest among `samples`.
     fn new(data: &'a Dataset, samples: &[usize], k: usize) -> Self {
-        // The numbers of `link_coordinates`.
+        // As many numbers as `link_coordinates` returns.
         let pose_width = if data.scene.moving.is_receiver() { 9 } else { 3 };
         let width = data.features.as_ref().map_or(pose_width, |features| features.width);
         Self {

@@ -114,7 +114,7 @@ impl ColumnSearch<'_> {
         }
     }
 
-    /// Returns whether the first cells of a column are empty or numbers within [`LARGEST`].
+    /// Returns whether the cells of a column in the first rows are empty or numbers within [`LARGEST`].
     fn has_powers(&self, k: usize) -> bool {
         let cells = self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
         cells.count() == self.values(k).count() && self.values(k).all(|v| v.abs() <= LARGEST)
@@ -127,7 +127,8 @@ fn is_receiver_column(name: &str, ends: &str) -> bool {
     RECEIVER.split(' ').any(is_prefix)
 }
 
-/// Returns a name without its numbers, with 0 for those inside; MAC addresses, of 17 characters, have one stem.
+/// Returns a name with 0 for each number inside, and without numbers at its ends. All MAC addresses, of 17 characters, have
+/// one stem.
 fn stem(name: &str) -> String {
     let is_address = name.len() == 17 && name.chars().all(|c| c.is_ascii_hexdigit() || c == ':' || c == '-');
     let parts = name.split(|c: char| c.is_ascii_digit()).filter(|part| !part.is_empty());

@@ -339,6 +339,7 @@ fn refuses_what_it_cannot_know() {
         ("x,y,ap,rssi\n0,0,a,[-40 -41]\n", "survey.csv:2:7: `[-40 -41]` is a list; write one row per reading"),
         ("x,y,ap,rssi\n0,0,a,loud\n", "survey.csv:2:7: `loud` is not a number; give the power as a number"),
         ("x,y,ap,rssi\n,0,a,-40\n", "survey.csv:2:1: no coordinate; give every row a position"),
+        ("x,y,ap,rssi\n1e9,0,a,-40\n", "survey.csv:2:1: a coordinate is 1e9 m, beyond 1e8 m"),
         ("x,y,ap,rssi\n0,0,a,-40,1\n", "survey.csv:2:11: the row has 5 fields, its header 4"),
         ("x,y,ap,rssi\n0,0,a,\n", "holds no received power"),
         ("x,y,name\n0,0,a\n", "no column of received powers was recognised among `x`, `y`, `name`"),
