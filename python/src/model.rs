@@ -118,7 +118,9 @@ impl Model {
                 return reject(py, "the receiver of this model moves; pass rx_pose=[B, 7]: x, y, z, qx, qy, qz, qw");
             }
             _ => {
-                return reject(py, "tx is missing; pass positions [B, 3] of the transmitter, which moves, in metres");
+                let problem = if tx.is_none() { "tx is missing" } else { "this model takes only tx" };
+                let advice = "pass positions [B, 3] of the transmitter, which moves, in metres";
+                return reject(py, &format!("{problem}; {advice}"));
             }
         };
         let mut lead = if is_single { vec![] } else { vec![poses.len()] };

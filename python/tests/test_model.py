@@ -251,6 +251,7 @@ def test_batches_have_the_bits_of_one_call(model, caplog):
         (dict(tx=places, batch_size=3, vjp=np.zeros((7, 15, 60))), "give one of vjp and batch_size"),
         (dict(tx=places[:, :2], batch_size=3), "tx has shape"),
         (dict(batch_size=3), "tx is missing"),
+        (dict(tx=places, features=places), "this model takes only tx"),
     ]:
         with pytest.raises(pwrfgs.InputError) as error:
             model.predict(**arguments)

@@ -111,8 +111,8 @@ impl FingerprintBuilder<'_> {
         groups
     }
 
-    /// Creates one fingerprint per group of transmitters: the mean of all readings of each link, weighted by
-    /// [`Readings::weight`]. `link_features` returns the features of links.
+    /// Creates one fingerprint per group of transmitters: the mean of all readings of each link, with [`Readings::weight`] as
+    /// the weight of squared differences from it. `link_features` returns the features of links.
     fn build(&self, groups: &[Vec<usize>], link_features: impl Fn(&[usize]) -> Vec<Vec<f32>>) -> Fingerprints {
         let (data, count) = (self.data, self.features.count());
         let missing = if self.floor.is_finite() { self.floor } else { f32::NAN };

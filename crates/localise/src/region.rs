@@ -104,8 +104,8 @@ impl Density {
 
     /// Returns the grid of the density, around the kernels with most of the weight.
     pub(crate) fn grid(&self) -> Grid<'_> {
-        let before = self.kernels.iter().scan(0.0, |sum, (w, p)| Some((std::mem::replace(sum, *sum + w), p)));
-        let framed: Vec<&[f64; 3]> = before.take_while(|(sum, _)| *sum < FRAMED).map(|(_, p)| p).collect();
+        let sums_before = self.kernels.iter().scan(0.0, |sum, (w, p)| Some((std::mem::replace(sum, *sum + w), p)));
+        let framed: Vec<&[f64; 3]> = sums_before.take_while(|(sum, _)| *sum < FRAMED).map(|(_, p)| p).collect();
         let reach = FRAME * self.bandwidth;
         let ends = [0, 1].map(|k| bounds(framed.iter().map(|p| p[k])));
         let sides = ends.map(|(low, high)| high - low + 2.0 * reach);

@@ -78,8 +78,8 @@ impl Pruner for GaussianSpa {
         let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
         let shifted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
         let largest = best(kept_count(cloud.len(), context), &shifted, |_| true);
-        let sparse = |(w, is_large): (&Real, bool)| if is_large { w.max(0.0) } else { 0.0 };
-        let sparse: Vec<Real> = shifted.iter().zip(largest).map(sparse).collect();
+        let projected = |(w, is_large): (&Real, bool)| if is_large { w.max(0.0) } else { 0.0 };
+        let sparse: Vec<Real> = shifted.iter().zip(largest).map(projected).collect();
         for column in &mut cloud.extra {
             match column.name.as_str() {
                 DUAL => {

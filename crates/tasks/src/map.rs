@@ -158,13 +158,13 @@ fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -
 
 /// Describes the default bounds; `source` names what they contain.
 fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
-    let ([a, b], short) = (plane.axis_names(), |v: f64| (v * 100.0).round() / 100.0);
+    let ([a, b], rounded) = (plane.axis_names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
         "{a} from {} to {} m, {b} from {} to {} m ({source}); set --bounds to change this",
-        short(across[0]),
-        short(across[1]),
-        short(up[0]),
-        short(up[1])
+        rounded(across[0]),
+        rounded(across[1]),
+        rounded(up[0]),
+        rounded(up[1])
     )
 }
 
@@ -215,7 +215,7 @@ impl RadioMap {
             },
         );
         let mut list = HEADER.to_owned();
-        // Degrees of a horizontal map, at its first cell and per step.
+        // Degrees of a horizontal map, at its first and last position.
         let geodetic = self.geodetic.filter(|_| self.grid.plane.axis_names() == ["x", "y"]);
         list += if geodetic.is_some() { ",first_latitude,first_longitude,last_latitude,last_longitude" } else { "" };
         list.push('\n');

@@ -53,7 +53,7 @@ impl MapPlane {
     /// Parses `z=1.2`, metres, the value of `--plane`.
     ///
     /// # Errors
-    /// Other text.
+    /// Other text, or a coordinate that is not finite or beyond 1e8 m.
     pub fn parse(text: &str) -> Result<Self> {
         let wrong = || {
             Error::Config(format!(
@@ -107,7 +107,7 @@ impl PlaneBounds {
     /// Parses `x0,x1,y0,y1`, metres, the value of `option`; `names` are those of the coordinates, for the error.
     ///
     /// # Errors
-    /// Other text.
+    /// Other text, a coordinate that is not finite or beyond 1e8 m, or a low end above its high end.
     pub fn parse(option: &str, text: &str, names: [&str; 2]) -> Result<Self> {
         let [a, b] = names;
         let wrong = || {
