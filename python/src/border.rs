@@ -57,6 +57,7 @@ pub(crate) fn is_in_strategy_call() -> bool {
 
 /// Performs `work` as part of a strategy call.
 pub(crate) fn call_strategy<T>(work: impl FnOnce() -> T) -> T {
+    // Ends the call also if `work` unwinds.
     struct StrategyCall;
     impl Drop for StrategyCall {
         fn drop(&mut self) {
