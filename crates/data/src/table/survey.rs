@@ -252,14 +252,14 @@ impl<'a> Survey<'a> {
         Ok(self.places.index(position))
     }
 
-    /// Returns the index of a receiver; spellings that differ by case are one.
+    /// Returns the index of a receiver, which is added if it is new; spellings that differ by case are one.
     fn receiver_index(&mut self, name: &str) -> u32 {
-        let next = self.receivers.len() as u32;
+        let (name, next) = (strip_control(name), self.receivers.len() as u32);
         let index = *self.receiver_indices.entry(name.to_lowercase()).or_insert(next);
         if index == next {
-            self.receivers.push(NamedReceiver { name: strip_control(name), position: None });
+            self.receivers.push(NamedReceiver { name, position: None });
         } else if self.receivers[index as usize].name != name {
-            self.respelled.insert(name.to_owned());
+            self.respelled.insert(name);
         }
         index
     }

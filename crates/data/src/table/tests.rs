@@ -231,6 +231,9 @@ fn repeated_readings_have_a_location_each() {
     ] {
         assert!(notes.contains(note), "{note}: {notes}");
     }
+    // Marks of text direction are no part of a name.
+    let marked = read("x,y,ap,rssi\n0,0,\u{202a}a,-40\n5,0,\u{202a}a,-60\n", TableImport::default()).unwrap();
+    assert!(!marked.notes.join("\n").contains("only by case"), "{:?}", marked.notes);
     // With their times, the readings of one moment are one location.
     let timed = "x,y,ap,rssi,t\n0,0,a,-40,1\n0,0,a,-42,2\n0,0,b,-50,2\n";
     let imported = read(timed, columns(|c| c.time = Some("t".into()))).unwrap();
