@@ -114,8 +114,25 @@ impl Reader<'_> {
             if self.rest().starts_with("//") {
                 self.at += self.rest().find('\n').unwrap_or(self.rest().len());
             } else if self.rest().starts_with("/*") {
-                self.at += self.rest().find("*/").ok_or("a comment `/*` does not end")? + 2;
+                self.skip_block_comment()?;
             } else {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Skips a comment `/* .. */`, which may contain others. Returns an error if it does not end.
+    fn skip_block_comment(&mut self) -> Result<(), String> {
+        let mut depth = 0;
+        loop {
+            let (length, deeper) = match self.rest().as_bytes() {
+                [b'/', b'*', ..] => (2, 1),
+                [b'*', b'/', ..] => (2, -1),
+                _ => (self.peek().ok_or("a comment `/*` does not end")?.len_utf8(), 0),
+            };
+            self.at += length;
+            depth += deeper;
+            if depth == 0 {
                 return Ok(());
             }
         }
@@ -302,7 +319,7 @@ mod tests {
 
     #[test]
     fn ron_tree_locates_every_value() {
-        let text = r##"P(a: -1.5e-3, /* b */ b: [X(), Y(1, "),\"("), true], // c
+        let text = r##"P(a: -1.5e-3, /* b /* é */ */ b: [X(), Y(1, "),\"("), true], // c
             c: (d: r#"a"#, e: {"x": (1, 2)}, f: 'x', g: '\'', h: None),)"##;
         let tree = of(text);
         assert_eq!(tree.name.as_deref(), Some("P"));
@@ -317,7 +334,8 @@ mod tests {
 
     #[test]
     fn rejects_invalid_ron_values() {
-        for text in ["", "(", "(a: )", "(a: 1", "[1 2]", "\"a", "r#\"a\"", "'", "own/a", "{1}", "1 2", "é(", "/*", ")"]
+        for text in
+            ["", "(", "(a: )", "(a: 1", "[1 2]", "\"a", "r#\"a\"", "'", "own/a", "{1}", "1 2", "é(", "/* /* */ 1", ")"]
         {
             assert!(RonTree::parse(text).is_err(), "{text}");
         }

@@ -125,7 +125,7 @@ fn unknown_field_fault(name: &str, tree: &RonTree, plugin: Option<&'static str>,
     let depth = |path: &String| path.matches('.').count();
     let least = deeper.iter().map(depth).min();
     deeper.retain(|path| Some(depth(path)) == least);
-    deeper.truncate(3);
+    deeper.truncate(3); // more would hide the list of fields
     let hint = match &deeper[..] {
         [] => did_you_mean(step, names()),
         _ => format!("; did you mean `{}`?", deeper.join("` or `")),
