@@ -227,12 +227,12 @@ impl OpenEvaluation<'_, '_, '_> {
         table.samples = [model_samples, baseline_samples, ids.len()];
         table.notes.extend(ceiling.notes);
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
-        let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));
-        let note =
-            |(name, one): (&String, &Measurement)| Some(format!("{} of {name}: {}", one.key, one.note.as_ref()?));
-        table.notes.extend(measured.filter_map(note));
+        for (name, measured) in &predictors {
+            let note = |m: &Measurement| Some(format!("{} of {name}: {}", m.key, m.note.as_ref()?));
+            table.notes.extend(measured.iter().filter_map(note));
+        }
         let mut scores = Scores::new(ids, predictors, table);
-        let summaries: Vec<_> = ceiling.metrics.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
+        let summaries: Vec<_> = ceiling.metrics.into_iter().map(|(key, estimate)| (key, estimate.summary)).collect();
         scores.table.add_ceiling(&summaries);
         let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).position()));
         scores.table.paired = scores.paired_differences(&partition.test.iter().map(position).collect());

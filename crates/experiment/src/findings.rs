@@ -82,8 +82,8 @@ fn check_repeated(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let (count, total) = (partition.test.iter().filter(|i| trained.contains(&at(i))).count(), partition.test.len());
     let problem = format!("{count} of {total} test samples are exactly where training samples are");
     let mend = "use `split: Voxel()`, which keeps a position in one set";
-    let is_placed = data.placed && trained.len() > data.scene.receivers.len(); // not all at one position
-    (is_placed && count as f64 > REPEATED * total as f64)
+    let has_positions = data.placed && trained.len() > data.scene.receivers.len(); // not all at one position
+    (has_positions && count as f64 > REPEATED * total as f64)
         .then(|| Finding::new("repeated-positions", count, problem, mend))
 }
 
