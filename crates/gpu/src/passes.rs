@@ -81,12 +81,12 @@ impl GpuStep<'_> {
 
     /// Adds the sums over the rows of a chunk A `[features, rows]` to `features` numbers of C; both are slot and offset.
     pub fn add_row_sums(&mut self, (features, rows): (usize, usize), (a, start): (usize, usize), c: (usize, usize)) {
-        let slices = rows.div_ceil(SLICE);
+        let (slices, sums) = (rows.div_ceil(SLICE), Block::new(c.0, c.1, features));
         self.check(Block::new(a, start, rows), (features, rows));
-        self.check(Block::new(c.0, c.1, features), (1, features));
+        self.check(sums, (1, features));
         let op = Op { m: features, n: rows, slice: SLICE, a: (start, (0, 0)), ..Op::default() };
         self.pass("sum_rows", [a, a, a, a, SCRATCH], op.numbers(), [slices, features, 1]);
-        self.sum_planes((1, features), slices, Block::new(c.0, c.1, features));
+        self.sum_planes((1, features), slices, sums);
     }
 
     /// Computes C = relu(A + bias) of a chunk `[features, rows]`; `bias` is slot and offset of one number per feature.

@@ -15,8 +15,10 @@ pub(crate) struct Batches {
     train: Vec<usize>,
     /// Links of each transmitter, as indices into `train`.
     transmitters: Vec<Range<usize>>,
-    /// Current epoch and its order of transmitters.
-    order: (u64, Vec<usize>),
+    /// Epoch to which `order` belongs; `u64::MAX` before the first.
+    epoch: u64,
+    /// Order of the transmitters, as indices into `transmitters`.
+    order: Vec<usize>,
 }
 
 impl Batches {
@@ -28,7 +30,7 @@ impl Batches {
             let begin = transmitters.last().map_or(0, |links| links.end);
             transmitters.push(begin..begin + links.len());
         }
-        Self { transmitters, train, order: (u64::MAX, Vec::new()) }
+        Self { transmitters, train, epoch: u64::MAX, order: Vec::new() }
     }
 
     /// Returns the links of the training set.
@@ -73,12 +75,12 @@ impl Batches {
         let mut transmitters = Vec::with_capacity(settings.batch);
         for k in 0..settings.batch as u64 {
             let drawn = (step - 1) * settings.batch as u64 + k;
-            if self.order.0 != drawn / n {
-                let mut order: Vec<usize> = (0..self.transmitters.len()).collect();
-                rng::shuffle(&mut rng::stream(seed, "batches", drawn / n), &mut order);
-                self.order = (drawn / n, order);
+            if self.epoch != drawn / n {
+                self.epoch = drawn / n;
+                self.order = (0..self.transmitters.len()).collect();
+                rng::shuffle(&mut rng::stream(seed, "batches", self.epoch), &mut self.order);
             }
-            transmitters.push(self.order.1[(drawn % n) as usize]);
+            transmitters.push(self.order[(drawn % n) as usize]);
         }
         build_batch(&self.links_of(&transmitters), data, stages, pixels, &mut shift)
     }

@@ -45,6 +45,14 @@ pub(crate) struct GpuActivations {
     raw: Vec<Vec<Real>>,
 }
 
+/// Returns the result of a pass. If the pass failed, records the error and returns a default, which callers must not use.
+pub(crate) fn or_default<T: Default>(result: Result<T>) -> T {
+    result.unwrap_or_else(|error| {
+        pwrfgs_core::device::fail(error);
+        T::default()
+    })
+}
+
 impl GpuNerf2<'_> {
     /// Divides `rays` rays into chunks.
     pub(crate) fn chunks(&self, rays: usize) -> impl Iterator<Item = Range<usize>> + use<> {

@@ -1,7 +1,7 @@
 //! `Nerf2` as a method: from links to observations.
 
 #[cfg(feature = "gpu")]
-use crate::nerf2::gpu::{GpuActivations, GpuNerf2, GpuReady};
+use crate::nerf2::gpu::{GpuActivations, GpuNerf2, GpuReady, or_default};
 use crate::nerf2::group::{GroupLinks, GroupScratch, Passes, RayActivations, RayGroup};
 use crate::nerf2::network::Nerf2Network;
 use crate::nerf2::path::PropagationLaw;
@@ -170,11 +170,7 @@ impl Method for Nerf2 {
         let groups = self.ray_groups(call, (&network, p.weights), &emission);
         #[cfg(feature = "gpu")]
         if let Some(on) = self.on_gpu(&network, p.weights) {
-            let results = on.forward(&groups, &on.items(&groups, None), |activations| activations);
-            let results = results.unwrap_or_else(|error| {
-                pwrfgs_core::device::fail(error);
-                Vec::new()
-            });
+            let results = or_default(on.forward(&groups, &on.items(&groups, None), |activations| activations));
             let (on_gpu, sums): (Vec<GpuActivations>, Vec<Passes>) = results.into_iter().unzip();
             let sums = on_gpu.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
             let totals = collect_sums(call, &groups, sums);
@@ -261,10 +257,7 @@ impl Method for Nerf2 {
             for receiver in 0..setup.receivers.len() {
                 let walk = self.ray_walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
                 let prepared = on.prepare(&RayGroup { receiver, walk, links: GroupLinks::All(Vec::new()) });
-                ready.push(prepared.unwrap_or_else(|error| {
-                    pwrfgs_core::device::fail(error);
-                    None
-                })?);
+                ready.push(or_default(prepared)?);
             }
             return Some(Arc::new(ready));
         }
@@ -291,11 +284,7 @@ impl Method for Nerf2 {
             let kept = prepared.as_ref().filter(|_| *pixels == PixelSubset::All);
             let kept = kept.and_then(|kept| kept.downcast_ref::<Vec<Vec<GpuReady>>>());
             let items = on.items(&groups, kept.map(Vec::as_slice));
-            let results = on.forward(&groups, &items, |activations| (activations.group, activations.rays));
-            let results = results.unwrap_or_else(|error| {
-                pwrfgs_core::device::fail(error);
-                Vec::new()
-            });
+            let results = or_default(on.forward(&groups, &items, |activations| (activations.group, activations.rays)));
             let totals =
                 collect_sums(call, &groups, results.into_iter().map(|((group, rays), sums)| (group, rays, sums)));
             let total = start.elapsed().as_secs_f64();

@@ -101,19 +101,19 @@ impl PropagationLaw {
         for i in (0..d.len()).rev() {
             let step = Self::step_length(samples, i);
             let (rate, turned) = (amplitude(raw[i]), phase_turn(raw_phase[i]));
-            let d_factor =
+            let (d_size, d_phase) =
                 (d[i][0] * factors[i][0] + d[i][1] * factors[i][1], d[i][1] * factors[i][0] - d[i][0] * factors[i][1]);
             match self {
                 Self::Spectrum => {
                     let left = (-rate * step).exp();
                     d_raw[i] = -step * left / (left + EPSILON) * size * amplitude_slope(raw[i]);
                     d_raw_phase[i] = step * phase * phase_turn_slope(turned);
-                    size += d_factor.0;
-                    phase += d_factor.1;
+                    size += d_size;
+                    phase += d_phase;
                 }
                 Self::Wave { .. } => {
-                    size += d_factor.0;
-                    phase += d_factor.1;
+                    size += d_size;
+                    phase += d_phase;
                     d_raw[i] = -step * size * amplitude_slope(raw[i]);
                     d_raw_phase[i] = phase * phase_turn_slope(turned);
                 }
