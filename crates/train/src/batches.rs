@@ -1,4 +1,4 @@
-//! `Batches`: the transmitters of each step and the observations of their links.
+//! `Batches`: the transmitters of each step and the observations of their links. Also the image plane of each step.
 
 use crate::graph::Batch;
 use crate::plan::TrainingPlan;

@@ -20,6 +20,14 @@ pub(crate) fn is_reset_due(settings: &Densify, step: u64) -> bool {
     settings.reset_every > 0 && step.is_multiple_of(settings.reset_every)
 }
 
+/// Returns the size of the scene, metres: that of the settings, or half the diagonal of the `bounds` of the scene.
+pub(crate) fn extent(settings: &Densify, (low, high): ([Real; 3], [Real; 3])) -> Real {
+    match settings.extent_m {
+        0.0 => 0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length(),
+        metres => metres,
+    }
+}
+
 /// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones. The
 /// last Gaussian is never removed. `extent` is the size of the scene, metres. Returns the number of Gaussians before
 /// the removal, and the number to which each rule applies.

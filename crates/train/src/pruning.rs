@@ -143,6 +143,12 @@ impl Trainer<'_> {
         computed.into_iter().zip(pruners.iter().zip(&contexts)).map(complete).collect()
     }
 
+    /// Adds the `closed` masks of `before` Gaussians in one prune step to the count of the training.
+    pub(crate) fn count_masks(&mut self, closed: usize, before: usize) {
+        let (sum, most) = self.masks.unwrap_or_default();
+        self.masks = Some((sum + closed, most.max(before)));
+    }
+
     /// Keeps the rows with `true`.
     pub(crate) fn retain_rows(&mut self, keep: &[bool]) {
         edit::retain(keep, &mut self.per_gaussian());

@@ -318,7 +318,7 @@ impl Trainer<'_> {
         let training = self.plan.training.clone();
         let settings = &training.densify;
         if densify::is_due(settings, step) {
-            let (extent, seed) = (self.extent(), self.plan.seed);
+            let (extent, seed) = (densify::extent(settings, self.data.scene.bounds), self.plan.seed);
             let (before, rules) = densify::densify(settings, extent, (seed, step), &mut self.per_gaussian());
             self.refuse_collapse(step, before, &rules)?;
             self.report_removal(step, (before, 0), &rules)?;

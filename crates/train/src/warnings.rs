@@ -5,7 +5,7 @@ use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, largest_scale};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::title_of;
-use pwrfgs_core::{Error, ImagePlane, Real, Result, Vec3};
+use pwrfgs_core::{Error, ImagePlane, Real, Result};
 
 impl Trainer<'_> {
     /// Returns one sentence per setting that has no effect, or too few pixels, with the initial Gaussians.
@@ -69,7 +69,7 @@ impl Trainer<'_> {
         if !self.stages.method.traits().blends {
             return None; // sources of waves have no size
         }
-        let (n, limit) = (self.cloud.len(), settings.large_above * self.extent());
+        let (n, limit) = (self.cloud.len(), settings.large_above * densify::extent(settings, self.data.scene.bounds));
         let sizes = (0..n).map(|i| largest_scale(&self.cloud, i) / limit).filter(|ratio| *ratio > 1.0);
         let (large, descendants) =
             sizes.fold((0, 0.0), |(large, sum), ratio| (large + 1, sum + count_descendants(ratio)));
@@ -92,20 +92,6 @@ impl Trainer<'_> {
              and are removed at step {step} unless splits shrink them; {advice}, or set `large_above` to 0",
             settings.large_above
         ))
-    }
-
-    /// Returns the size of the scene, metres.
-    pub(crate) fn extent(&self) -> Real {
-        match self.plan.training.densify.extent_m {
-            0.0 => half_diagonal(self.data.scene.bounds),
-            metres => metres,
-        }
-    }
-
-    /// Adds the `closed` masks of `before` Gaussians in one prune step to the count of the training.
-    pub(crate) fn count_masks(&mut self, closed: usize, before: usize) {
-        let (sum, most) = self.masks.unwrap_or_default();
-        self.masks = Some((sum + closed, most.max(before)));
     }
 
     /// Returns a sentence if the learned masks have closed less than a tenth of the Gaussians; `None` without masks,
@@ -215,11 +201,6 @@ fn format_removals(rules: &[(String, usize)]) -> String {
     Some(format_counts(rules))
         .filter(|text| !text.is_empty())
         .map_or_else(String::new, |text| format!(", removed by {text}"))
-}
-
-/// Returns half the diagonal of the bounds of a scene, metres: its extent, if the pipeline does not set it.
-fn half_diagonal((low, high): ([Real; 3], [Real; 3])) -> Real {
-    0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
 }
 
 /// Returns the first step at which densification checks sizes; `None` if it never does.
