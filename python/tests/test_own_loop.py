@@ -108,6 +108,9 @@ def test_own_model_ends_in_report_and_comparison(run, model, cli, tmp_path):
     assert page.returncode == 0, page.stderr
     again = pwrfgs.evaluate(model, SMALL, out=tmp_path / "own", progress=False)
     assert again.facts == own.facts
+    kriged = SMALL.replace("Random(test: 0.2)", "Random(test: 0.2), residuals: Kriged()")
+    fitted = [pwrfgs.evaluate(model, kriged, out=tmp_path / "kriged", progress=False) for _ in range(2)]
+    assert fitted[0].facts == fitted[1].facts
     other = pwrfgs.Model.from_arrays(**waves(), pose=pwrfgs.Pose(), **SIZE)
     with pytest.raises(pwrfgs.InputError, match="holds another run"):
         pwrfgs.evaluate(other, SMALL, out=tmp_path / "own", progress=False)

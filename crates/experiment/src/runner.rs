@@ -55,8 +55,8 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
     }
 }
 
-/// Scores a `model` that no run has trained, as a run of `pipeline` in the new folder `out`: with scores and report,
-/// but without a training curve.
+/// Scores a `model` that no run has trained, as a run of `pipeline` in the folder `out`, which is new or of an earlier call:
+/// with scores and report, but without a training curve.
 ///
 /// # Errors
 /// As [`run`]; a folder that holds another run.
@@ -70,16 +70,23 @@ pub fn score_model(
     let resolved = resolve_pipeline(pipeline, base)?;
     check_alike(&model.prepare(), &load_split_data(&resolved, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
-    let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
-    let has_same =
-        || files::if_found(&path, files::read(&path)).map(|stored| stored.is_some_and(|stored| stored == bytes));
-    if !folder.is_new() && !folder.settle(has_same())? {
+    let path = folder.file(MODEL_FILE);
+    if folder.is_new() {
+        folder.settle(file::write_ensemble(&path, model))?;
+    } else if !folder.settle(holds_model(&path, model))? {
         let problem = "holds another run; choose another folder or remove it";
         return Err(Error::input(out, problem));
     }
-    folder.settle(files::write_atomically(&path, &bytes))?;
     drop(folder);
     run(pipeline, base, out, session)
+}
+
+/// Returns whether the file at `path` holds `model`, with or without residuals that an earlier call has fitted to it.
+fn holds_model(path: &Path, model: &Ensemble) -> Result<bool> {
+    let Some(bytes) = files::if_found(path, files::read(path))? else { return Ok(false) };
+    let unfitted_bytes = |ensemble: Ensemble| file::ensemble_to_bytes(&ensemble.with_residuals(None));
+    let is_fitted = |stored| model.residuals().is_none() && unfitted_bytes(stored) == unfitted_bytes(model.clone());
+    Ok(bytes == file::ensemble_to_bytes(model) || file::from_bytes(&bytes).is_ok_and(is_fitted))
 }
 
 /// Runs or resumes the pipeline; `None` if another process has claimed it meanwhile, and the state must be read again.

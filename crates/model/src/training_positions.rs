@@ -24,8 +24,8 @@ pub struct TrainingPositions {
 
 impl TrainingPositions {
     /// Thins `all` positions (metres from the origin of the model); `None` without positions. Starts with the first, and each
-    /// step adds the position farthest from those selected. At most 1,024 positions remain, more than 1 % of the diagonal
-    /// of all apart.
+    /// step adds the position farthest from those selected. At most 1,024 positions remain, each farther from the others
+    /// than 1 % of the diagonal of the bounding box.
     pub fn thinned(all: &[[Real; 3]]) -> Option<Self> {
         let mut selected = vec![*all.first()?];
         // Squares of the distances to the selected positions.
