@@ -94,7 +94,7 @@ impl<'a> Prepared<'a> {
 
     /// Predicts an observation and the standard deviation over the members for every value (n in the denominator); 0
     /// for a single model. The deviation is that of the members, without residual processes. Also returns the total time
-    /// of each stage.
+    /// of each stage, without that of residual processes.
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
         let query = query.into();
         let (predictions, times) = self.member_predictions(query);

@@ -99,8 +99,8 @@ pub(crate) struct PhaseCheck {
 }
 
 impl PhaseCheck {
-    /// Compares at most [`MOST_GAINS`] gains; `None` for other observations, unknown positions, gains without phase, or fewer
-    /// than [`FEWEST`] snapshots.
+    /// Compares evenly chosen snapshots, with about [`MOST_GAINS`] gains in all at most. `None` for other observations, unknown
+    /// positions, links with features, gains without phase, or fewer than [`FEWEST`] received snapshots.
     pub(crate) fn of(data: &Dataset) -> Option<Self> {
         let Observations::Channels(channels) = &data.observations else { return None };
         let is_known = data.placed && data.features.is_none() && data.scene.has_distances();
