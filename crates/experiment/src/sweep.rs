@@ -178,10 +178,10 @@ impl SweepPlan {
         let mut ensemble = self.read_ensemble()?;
         let bytes = file::ensemble_to_bytes(&ensemble);
         // Residual processes and calibration of the same members are kept.
-        if let Ok(kept) = file::read_ensemble(&folder.file(MODEL_FILE))
-            && file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes
+        if let Ok(stored) = file::read_ensemble(&folder.file(MODEL_FILE))
+            && file::ensemble_to_bytes(&stored.clone().with_residuals(None)) == bytes
         {
-            ensemble = kept;
+            ensemble = stored;
         }
         let bytes = file::ensemble_to_bytes(&ensemble);
         let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
