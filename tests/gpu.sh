@@ -13,6 +13,6 @@ export PWRFGS_DEVICE_SOFTWARE=1
 export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-/tmp} # Mesa complains without it
 
 cargo test --profile "$profile" -p pwrfgs-gpu --lib
-cargo test --profile "$profile" -p pwrfgs-networks -p pwrfgs-methods --features pwrfgs-methods/gpu --lib gpu
+cargo test --profile "$profile" -p pwrfgs-networks -p pwrfgs-methods --features pwrfgs-methods/gpu --lib -- gpu resident
 cargo test --profile "$profile" -p pwrfgs-cli --features gpu --test cli gpu::
 cargo run --profile "$profile" -p pwrfgs --features gpu --example device_times -- "$steps" "$most"

@@ -7,6 +7,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod adam;
 mod array_geometry;
 mod blocks;
 mod cholesky;
@@ -17,6 +18,7 @@ mod data_source;
 mod dataset;
 mod deformation;
 pub mod device;
+mod device_steps;
 pub mod docs;
 mod error;
 pub mod files;
@@ -52,6 +54,7 @@ mod task;
 pub mod testing;
 pub mod threads;
 
+pub use adam::AdamUpdate;
 pub use array_geometry::ArrayGeometry;
 pub use blocks::{SiteSize, block_mean, block_of};
 pub use cholesky::Cholesky;
@@ -62,6 +65,7 @@ pub use dataset::{Dataset, Simulation, Unmatched, check_receivers};
 pub use deformation::{
     Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, KEPT_BYTES, LinearPart,
 };
+pub use device_steps::{DeviceStep, DeviceStepper, StepRole, StraightThroughMask, TrainingState};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use geodetic::Geodetic;

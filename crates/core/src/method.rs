@@ -2,9 +2,9 @@
 //! pass.
 
 use crate::{
-    Cache, CloudStats, Dataset, Deformation, GaussianCloud, ImagePlane, Layout, LinkInputs, MeasurementSetup, Misfit,
-    Needs, PassStatistics, Plugin, Primitives, Projector, Rasterizer, Real, Requirement, StageTimes, Task, plugin_kind,
-    ssim::Window,
+    Cache, CloudStats, Dataset, Deformation, DeviceStepper, GaussianCloud, ImagePlane, Layout, LinkInputs,
+    MeasurementSetup, Misfit, Needs, PassStatistics, Plugin, Primitives, Projector, Rasterizer, Real, Requirement,
+    StageTimes, Task, plugin_kind, ssim::Window,
 };
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -145,6 +145,12 @@ pub trait Method: crate::plugin::PluginObject {
         None
     }
 
+    /// Returns the steps of a training with this `setup` on the device of the process; `None` if the device does not keep the
+    /// parameters of this method.
+    fn device_stepper<'a>(&'a self, setup: &MeasurementSetup) -> Option<Box<dyn DeviceStepper + 'a>> {
+        None
+    }
+
     /// Returns the memory of a step over `links` with `pixels` values each.
     fn cost(&self, setup: &MeasurementSetup, links: usize, pixels: usize) -> Cost {
         Cost { pixels, ..Cost::default() }
@@ -212,7 +218,7 @@ pub trait Method: crate::plugin::PluginObject {
         Activated::default()
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

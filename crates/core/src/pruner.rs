@@ -1,7 +1,7 @@
 //! `Pruner`: selection of the Gaussians to keep.
 
 use crate::{
-    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Plugin, Real, StepContext, plugin_kind,
+    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Plugin, Real, StepContext, StepRole, plugin_kind,
     tape::{TraceScalar, TracedCloud},
 };
 
@@ -36,6 +36,12 @@ pub trait Pruner: crate::plugin::PluginObject {
     /// Returns a term added to the loss in the densification and pruning phases; `None` by default.
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         None
+    }
+
+    /// Returns the effect of [`Pruner::gate`], [`Pruner::penalty`] and [`Pruner::update`] in a step as data, for steps on a
+    /// [device that keeps the parameters](crate::DeviceStepper). By default it is unknown, and each step calls these functions.
+    fn step_role(&self, context: &StepContext) -> StepRole {
+        StepRole::Unknown
     }
 
     /// Updates requested columns that are not learned (moving averages, dual variables), once after each step. A
@@ -77,7 +83,7 @@ pub trait Pruner: crate::plugin::PluginObject {
         None
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

@@ -20,7 +20,7 @@ use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, device, evenly
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
-use pwrfgs_train::{Keep, PruneStepState, Trainer, check_available, network_bytes};
+use pwrfgs_train::{Keep, PruneStepState, StepReport, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -88,6 +88,7 @@ impl<'a> ActiveRun<'a, '_> {
             most_gaussians: 0,
             best: best_value(&read_series(&folder.file(VALIDATION)), settings.prune_until, data.task()),
             earlier_seconds: facts.wall_seconds,
+            at_once: 1,
             run: self,
             trainer,
             folder,
@@ -137,6 +138,9 @@ fn refuse_beyond_memory(needed: u64, purpose: &str, advice: &str) -> Result<()> 
     }
 }
 
+/// Seconds after which steps on a device report, so that a bar moves and Ctrl-C acts.
+const SECONDS_AT_ONCE: f64 = 0.5;
+
 /// Training in progress: the trainer, and the files that it writes.
 struct Training<'r, 'a, 's> {
     run: &'r mut ActiveRun<'a, 's>,
@@ -152,6 +156,8 @@ struct Training<'r, 'a, 's> {
     best: Option<f64>,
     /// Seconds of earlier starts.
     earlier_seconds: f64,
+    /// Number of steps that a device runs before it reports; results do not depend on it.
+    at_once: u64,
 }
 
 impl Training<'_, '_, '_> {
@@ -179,11 +185,26 @@ impl Training<'_, '_, '_> {
         Ok(())
     }
 
-    /// Performs a training step, and writes its snapshots, validation and row of the curve.
+    /// Performs some training steps, up to the next checkpoint or validation, and writes what they report.
     fn step(&mut self) -> Result<()> {
         let begun = Instant::now();
-        let report = self.trainer.step().inspect_err(|_| self.report_last_checkpoint())?;
+        let most = self.at_once.min(self.steps_to_record());
+        let reports = self.trainer.steps(most).inspect_err(|_| self.report_last_checkpoint())?;
         let seconds = begun.elapsed().as_secs_f64();
+        let done = reports.len() as u64; // 1 on the CPU
+        self.at_once = if seconds < SECONDS_AT_ONCE { 2 * done } else { done.div_ceil(2) };
+        reports.iter().try_for_each(|report| self.record(report, seconds / reports.len() as f64))
+    }
+
+    /// Returns the number of steps until the next checkpoint or validation.
+    fn steps_to_record(&self) -> u64 {
+        let (settings, done) = (&self.run.pipeline.training, self.trainer.done());
+        let until = |every: u64| if every > 0 { every - done % every } else { u64::MAX };
+        until(settings.checkpoint_every).min(until(settings.validate_every))
+    }
+
+    /// Writes snapshots, validation and row of the curve of a step.
+    fn record(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         if report.step == 1 {
             self.warn_of_device();
         }
@@ -200,13 +221,13 @@ impl Training<'_, '_, '_> {
         let validated = validates.then(|| self.trainer.validated_model());
         let score = |model: &Model| validate(report.step, model, data, &self.validation);
         let validation = validated.as_ref().map(score).transpose()?;
-        self.journal.record_step(&report, seconds)?;
+        self.journal.record_step(report, seconds)?;
         if let (Some(validation), Some(model)) = (&validation, &validated) {
             self.keep_best(validation, model)?;
             self.journal.record_validation(validation)?;
             self.run.session.observer.on_validation(validation);
         }
-        self.run.session.observer.on_step(&report);
+        self.run.session.observer.on_step(report);
         self.facts.gaussians = report.gaussians;
         Ok(())
     }

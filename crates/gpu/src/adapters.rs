@@ -1,6 +1,6 @@
 //! GPUs of the machine, and the one of the process.
 
-use crate::shaders::{DRAWING, DRAWING_SOURCE, NETWORKS_SOURCE};
+use crate::shaders::{DRAWING, DRAWING_SOURCE, NETWORKS_SOURCE, RESIDENT, RESIDENT_SOURCE};
 use crate::workspace::Workspace;
 use crate::{MOST_ROWS, SLICE};
 use pwrfgs_core::device::{self, DeviceChoice};
@@ -23,7 +23,7 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) layout: wgpu::BindGroupLayout,
-    /// Pipelines in the order of [`KERNELS`], then of [`DRAWING`].
+    /// Pipelines in the order of [`KERNELS`], then of [`DRAWING`] and [`RESIDENT`].
     pub(crate) kernels: Vec<wgpu::ComputePipeline>,
     /// Maximum size of a buffer, bytes.
     pub(crate) most_bytes: u64,
@@ -33,6 +33,8 @@ pub struct Gpu {
     pub(crate) workspace: Mutex<Workspace>,
     /// Buffers of drawings.
     pub(crate) drawings: Mutex<Workspace>,
+    /// Buffers of whole training steps.
+    pub(crate) training: Mutex<Workspace>,
     /// First error since the last check, which the driver reports at any time.
     pub(crate) failure: Arc<Mutex<Option<String>>>,
     name: String,
@@ -219,9 +221,9 @@ fn create_bind_group_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
 }
 
-/// Compiles [`KERNELS`], then [`DRAWING`].
+/// Compiles [`KERNELS`], then [`DRAWING`] and [`RESIDENT`].
 fn compile_kernels(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> Vec<wgpu::ComputePipeline> {
-    let [networks, drawing] = [NETWORKS_SOURCE, DRAWING_SOURCE].map(|source| {
+    let modules = [NETWORKS_SOURCE, DRAWING_SOURCE, RESIDENT_SOURCE].map(|source| {
         let source = wgpu::ShaderSource::Wgsl(source.into());
         device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source })
     });
@@ -240,8 +242,10 @@ fn compile_kernels(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> Vec
             cache: None,
         })
     };
-    let named_networks = KERNELS.iter().map(|name| (*name, &networks));
-    named_networks.chain(DRAWING.iter().map(|name| (*name, &drawing))).map(kernel).collect()
+    let names: [&[&str]; 3] = [&KERNELS, &DRAWING, &RESIDENT];
+    let entries =
+        names.into_iter().zip(&modules).flat_map(|(names, module)| names.iter().map(move |name| (*name, module)));
+    entries.map(kernel).collect()
 }
 
 impl Gpu {
@@ -254,11 +258,11 @@ impl Gpu {
         let layout = create_bind_group_layout(&device);
         let kernels = compile_kernels(&device, &layout);
         let most_bytes = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        let (workspace, drawings) = (Mutex::default(), Mutex::default());
+        let [workspace, drawings, training] = [(); 3].map(|()| Mutex::default());
         let name = describe_adapter(adapter).name;
         let megabytes = std::env::var(MEMORY).ok().and_then(|text| text.parse::<u64>().ok());
         let memory = megabytes.map_or(u64::MAX, |megabytes| megabytes << 20);
-        Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, drawings, failure, name })
+        Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, drawings, training, failure, name })
     }
 
     /// Returns the name, with interface and driver.

@@ -10,8 +10,9 @@
 
 use crate::adapters::Gpu;
 use crate::step::{ARGUMENTS, GpuStep};
+use crate::workspace::Workspace;
 use pwrfgs_core::{Error, Real, Result};
-use std::sync::PoisonError;
+use std::sync::{Mutex, PoisonError};
 
 /// Slot of the Gaussians in depth order, `[N, 13]`: mean, log scales, rotation, opacity logit, gate, existence.
 pub const CLOUD: usize = 0;
@@ -225,9 +226,13 @@ impl Drawing {
 impl Gpu {
     /// Returns the number of entries of tile lists that the buffers of drawings hold.
     pub fn list_entries(&self) -> usize {
-        let workspace = self.drawings.lock().unwrap_or_else(PoisonError::into_inner);
-        let bytes = workspace.buffers.get(PARTS).map_or(0, |buffer| buffer.size() as usize);
-        (bytes / (size_of::<f32>() * PART)).max(FIRST_ENTRIES)
+        entries_of(&self.drawings, 0)
+    }
+
+    /// Returns the number of entries of tile lists that the buffers of whole training steps hold, whose drawing has this first
+    /// slot.
+    pub fn resident_list_entries(&self, drawing: usize) -> usize {
+        entries_of(&self.training, drawing)
     }
 
     /// Begins a step that draws, with buffers of at least `sizes` numbers by slot. The buffers are not those of networks.
@@ -237,4 +242,11 @@ impl Gpu {
     pub fn drawing_step(&self, sizes: &[usize]) -> Result<GpuStep<'_>> {
         self.step_in(&self.drawings, sizes, "use a smaller `training.batch`, fewer Gaussians, or the CPU")
     }
+}
+
+/// Returns the number of entries of tile lists that buffers hold, for a drawing with this first slot.
+fn entries_of(workspace: &Mutex<Workspace>, first: usize) -> usize {
+    let workspace = workspace.lock().unwrap_or_else(PoisonError::into_inner);
+    let bytes = workspace.buffers.get(first + PARTS).map_or(0, |buffer| buffer.size() as usize);
+    (bytes / (size_of::<f32>() * PART)).max(FIRST_ENTRIES)
 }

@@ -31,6 +31,6 @@ impl GpuStep<'_> {
 
     /// Records a copy of the first `len` numbers.
     fn copy(&mut self, from: Buffer, to: Buffer, len: usize) {
-        self.record(Command::Copy { from, to, bytes: bytes_of(len) });
+        self.record(Command::Copy { from: (from, 0), to, bytes: bytes_of(len) });
     }
 }

@@ -1,15 +1,17 @@
-//! Passes of networks, of drawing and of the loss on a GPU through wgpu (Vulkan, Metal, DX12), in single precision.
+//! Passes of networks, of drawing, of the loss and of [whole training steps](resident) on a GPU through wgpu (Vulkan, Metal,
+//! DX12), in single precision.
 //!
-//! [`select`] chooses the GPU of the process, [`current`] returns it. A [`GpuStep`] holds the GPU for one pass of a network
-//! or of a [drawing](draw): upload, products and other passes over [`Block`]s of its buffers, read. The kernels are in
-//! `kernels.wgsl` and the folder `draw`. They use no atomics and no subgroups, and add in an order that depends only on the
-//! inputs: on one GPU with one driver, equal inputs give equal bits.
+//! [`select`] chooses the GPU of the process, [`current`] returns it. A [`GpuStep`] holds the GPU for one pass of a network,
+//! of a [drawing](draw) or of training steps: upload, products and other passes over [`Block`]s of its buffers, read. The
+//! kernels are in `kernels.wgsl`, `resident.wgsl` and the folder `draw`. They use no atomics and no subgroups, and add in an
+//! order that depends only on the inputs: on one GPU with one driver, equal inputs give equal bits.
 
 mod adapters;
 mod block;
 pub mod draw;
 mod kept;
 mod passes;
+pub mod resident;
 mod shaders;
 mod step;
 #[cfg(test)]

@@ -119,6 +119,6 @@ impl GpuStep<'_> {
 }
 
 /// Returns the workgroups of 256 invocations for a loop over `len` numbers, within the limit of every GPU.
-fn groups_of_256(len: usize) -> [usize; 3] {
+pub(crate) fn groups_of_256(len: usize) -> [usize; 3] {
     [len.div_ceil(256).min(65_535), 1, 1]
 }

@@ -21,9 +21,31 @@ pub(crate) const DRAWING: [&str; 14] = [
     "sum_loss",
 ];
 
+/// Entry points of [`RESIDENT_SOURCE`].
+pub(crate) const RESIDENT: [&str; 13] = [
+    "encode",
+    "depth_keys",
+    "sort_pairs",
+    "sort_block",
+    "arrange_cloud",
+    "arrange_terms",
+    "arrange_signals",
+    "scatter_cloud",
+    "scatter_terms",
+    "statistics",
+    "penalise",
+    "sum_masks",
+    "adam",
+];
+
+/// Passes of whole training steps.
+pub(crate) const RESIDENT_SOURCE: &str =
+    concat!(include_str!("bindings.wgsl"), include_str!("exponential.wgsl"), include_str!("resident.wgsl"));
+
 /// Files of the folder `draw`.
 pub(crate) const DRAWING_SOURCE: &str = concat!(
     include_str!("bindings.wgsl"),
+    include_str!("exponential.wgsl"),
     include_str!("draw/common.wgsl"),
     include_str!("draw/project.wgsl"),
     include_str!("draw/blend.wgsl"),

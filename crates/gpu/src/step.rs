@@ -2,13 +2,13 @@
 
 use crate::adapters::{Gpu, KERNELS, keep_first, wait_for};
 use crate::block::Block;
-use crate::shaders::DRAWING;
+use crate::shaders::{DRAWING, RESIDENT};
 use crate::workspace::Workspace;
 use pwrfgs_core::{Error, Real, Result, device};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use wgpu::{Buffer, BufferUsages};
 
-/// Number of arguments of a kernel: `Op` of `kernels.wgsl` and of `draw/common.wgsl`.
+/// Number of arguments of a kernel: `Op` of `kernels.wgsl`, of `draw/common.wgsl` and of `resident.wgsl`.
 pub(crate) const ARGUMENTS: usize = 16;
 
 /// Distance of arguments in their buffer, bytes: the largest alignment of any GPU.
@@ -23,7 +23,7 @@ pub(crate) enum Command {
     Pass { kernel: usize, slots: [usize; 5], argument: u32, groups: [u32; 3] },
     Clear { slot: usize, bytes: u64 },
     Read { slot: usize, offset: u64, bytes: u64 },
-    Copy { from: Buffer, to: Buffer, bytes: u64 },
+    Copy { from: (Buffer, u64), to: Buffer, bytes: u64 },
 }
 
 /// Passes on a GPU, which the step holds until it is dropped.
@@ -35,6 +35,8 @@ pub struct GpuStep<'g> {
     arguments: Vec<u32>,
     /// Numbers per slot.
     sizes: Vec<usize>,
+    /// Slot that operations count as 0.
+    base: usize,
     /// Buffers with results that were sent, and the lengths of the results.
     sent: Vec<(Buffer, Vec<u64>)>,
     /// Bytes of all buffers of the step.
@@ -101,6 +103,7 @@ impl Gpu {
             commands: Vec::new(),
             arguments: Vec::new(),
             sizes: sizes.to_vec(),
+            base: 0,
             sent: Vec::new(),
             bytes: total,
         })
@@ -144,6 +147,19 @@ impl GpuStep<'_> {
         self.workspace.steps == number + 1 && self.workspace.changed <= number
     }
 
+    /// Records operations whose slots count from `base`.
+    pub fn with_base(&mut self, base: usize, record: impl FnOnce(&mut Self)) {
+        let before = std::mem::replace(&mut self.base, base);
+        record(self);
+        self.base = before;
+    }
+
+    /// Copies `len` numbers of slot `from`, from `start`, to the beginning of slot `to`, after the passes recorded so far.
+    pub fn copy_numbers(&mut self, (from, start): (usize, usize), to: usize, len: usize) {
+        let (from, to) = (self.buffer_of(from), self.buffer_of(to));
+        self.record(Command::Copy { from: (from, bytes_of(start)), to, bytes: bytes_of(len) });
+    }
+
     /// Writes values to a slot from number `start` on, after all passes recorded so far.
     pub fn upload(&mut self, slot: usize, start: usize, values: &[Real]) {
         self.send();
@@ -154,23 +170,23 @@ impl GpuStep<'_> {
             single = values.iter().map(|value| *value as f32).collect();
             bytemuck::cast_slice(&single)
         };
-        self.gpu.queue.write_buffer(&self.workspace.buffers[slot], bytes_of(start), bytes);
+        self.gpu.queue.write_buffer(&self.workspace.buffers[self.base + slot], bytes_of(start), bytes);
     }
 
     /// Sets the first `len` numbers of a slot to zero.
     pub fn clear(&mut self, slot: usize, len: usize) {
-        self.commands.push(Command::Clear { slot, bytes: bytes_of(len) });
+        self.commands.push(Command::Clear { slot: self.base + slot, bytes: bytes_of(len) });
     }
 
     /// Requests `len` numbers of a slot from `start`, as they are after the passes recorded so far: the next result of
     /// [`Self::finish`].
     pub fn read(&mut self, slot: usize, start: usize, len: usize) {
-        self.commands.push(Command::Read { slot, offset: bytes_of(start), bytes: bytes_of(len) });
+        self.commands.push(Command::Read { slot: self.base + slot, offset: bytes_of(start), bytes: bytes_of(len) });
     }
 
     /// Returns the buffer of a slot.
     pub(crate) fn buffer_of(&self, slot: usize) -> Buffer {
-        self.workspace.buffers[slot].clone()
+        self.workspace.buffers[self.base + slot].clone()
     }
 
     /// Records a command.
@@ -185,7 +201,7 @@ impl GpuStep<'_> {
     pub(crate) fn check(&self, block: Block, (rows, columns): (usize, usize)) {
         let last = |count: usize, stride: usize| count.saturating_sub(1) * stride;
         let end = block.start + last(rows, block.strides.0) + last(columns, block.strides.1);
-        assert!(rows * columns == 0 || end < self.sizes[block.slot], "a matrix lies inside its slot");
+        assert!(rows * columns == 0 || end < self.sizes[self.base + block.slot], "a matrix lies inside its slot");
     }
 
     /// Records a kernel for `groups` workgroups; none if an axis has 0. `slots` are those of A, B, H, E and C.
@@ -193,7 +209,9 @@ impl GpuStep<'_> {
         if groups.contains(&0) {
             return;
         }
-        let kernel = KERNELS.iter().chain(&DRAWING).position(|kernel| *kernel == name).expect("a kernel of that name");
+        let mut kernels = KERNELS.iter().chain(&DRAWING).chain(&RESIDENT);
+        let kernel = kernels.position(|kernel| *kernel == name).expect("a kernel of that name");
+        let slots = slots.map(|slot| self.base + slot);
         let argument = (self.arguments.len() * size_of::<u32>()) as u32;
         self.arguments.extend(arguments.map(|number| number as u32));
         self.arguments.resize(self.arguments.len().next_multiple_of(ALIGNMENT / size_of::<u32>()), 0);
@@ -249,7 +267,7 @@ impl GpuStep<'_> {
                     encoder.copy_buffer_to_buffer(&self.workspace.buffers[*slot], *offset, results, filled, *bytes);
                     filled += bytes;
                 }
-                Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes),
+                Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(&from.0, from.1, to, 0, *bytes),
             }
             remaining = &remaining[passes.max(1)..];
         }

@@ -2,7 +2,7 @@
 
 use crate::adapters::{GpuLine, KERNELS, adapters, pick};
 use crate::draw::Drawing;
-use crate::shaders::{DRAWING, DRAWING_SOURCE, NETWORKS_SOURCE};
+use crate::shaders::{DRAWING, DRAWING_SOURCE, NETWORKS_SOURCE, RESIDENT, RESIDENT_SOURCE};
 use crate::{Block, Epilogue, Gpu, SLICE, for_tests, scratch_len};
 use pwrfgs_core::device::DeviceChoice;
 use pwrfgs_core::{Real, rng};
@@ -194,7 +194,8 @@ fn nan_passes_the_relu() {
 
 #[test]
 fn shaders_are_valid_and_use_no_atomics() {
-    for (source, kernels) in [(NETWORKS_SOURCE, &KERNELS[..]), (DRAWING_SOURCE, &DRAWING)] {
+    let modules = [(NETWORKS_SOURCE, &KERNELS[..]), (DRAWING_SOURCE, &DRAWING), (RESIDENT_SOURCE, &RESIDENT)];
+    for (source, kernels) in modules {
         let module = naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(source)));
         let (flags, capabilities) = (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
         naga::valid::Validator::new(flags, capabilities).validate(&module).unwrap();

@@ -14,6 +14,11 @@ mod gpu;
 mod gpu_tests;
 mod method;
 mod received;
+#[cfg(feature = "gpu")]
+mod resident;
+#[cfg(feature = "gpu")]
+#[cfg(test)]
+mod resident_tests;
 mod survey;
 
 use crate::groups::ReceiverGroup;

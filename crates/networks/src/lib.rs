@@ -31,6 +31,8 @@ mod wrfgs_network;
 
 pub use encoding::Encoding;
 pub use factored::Factored;
+#[cfg(feature = "gpu")]
+pub use mlp::gpu::resident::{ResidentMlp, ResidentSlots};
 pub use mlp::{Mlp, Outputs};
 pub use near::Near;
 pub use wrfgs::Wrfgs;

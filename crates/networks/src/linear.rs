@@ -218,7 +218,7 @@ impl LayoutBuilder {
         self.len
     }
 
-    /// Returns all tensors.
+    /// Returns the tensors of the flat vector, in order, without constants.
     pub fn layout(self) -> Layout {
         Layout { weights: self.tensors, constants: Vec::new() }
     }

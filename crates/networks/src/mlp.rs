@@ -6,7 +6,7 @@
 //! ```
 
 #[cfg(feature = "gpu")]
-mod gpu;
+pub(crate) mod gpu;
 
 use crate::check_carrier;
 use crate::dense::{self, StoreMode};

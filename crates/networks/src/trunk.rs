@@ -93,12 +93,12 @@ impl Trunk {
     }
 
     /// Iterates over the layers with inputs γ and e, in order.
-    fn joints(&self) -> impl Iterator<Item = &Linear> {
+    pub(crate) fn joints(&self) -> impl Iterator<Item = &Linear> {
         self.layers.first().into_iter().chain(self.joined.map(|l| &self.layers[l]))
     }
 
     /// Returns the columns that multiply e in the layers with inputs γ and e.
-    fn side_columns(&self) -> Range<usize> {
+    pub(crate) fn side_columns(&self) -> Range<usize> {
         self.gamma..self.gamma + self.side
     }
 

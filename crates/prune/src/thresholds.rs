@@ -4,8 +4,8 @@
 use crate::rounds::requested_statistic;
 use crate::settings::check_share;
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best,
-    sigmoid,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, StepRole,
+    best, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -44,6 +44,10 @@ impl Pruner for OpacityThreshold {
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
+    }
+
+    fn step_role(&self, _: &StepContext) -> StepRole {
+        StepRole::Idle
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,14 +1,7 @@
 //! Adam optimizer: its moments survive clone, split and prune, and each column has its own rate.
 
 use crate::settings::{Optimizer, Schedule, Training};
-use pwrfgs_core::{ColumnSpec, GaussianCloud, Real, WeightGroup};
-use rayon::prelude::*;
-
-/// Decay rates of the first and the second moment, as in Kingma and Ba, 2015, and in all methods implemented here.
-pub(crate) const BETAS: [Real; 2] = [0.9, 0.999];
-
-/// Weights of dead units under L2 decay become 0 below this: it is under one unit in the last place of any weight above 2e-5.
-const NEGLIGIBLE: Real = 1e-12;
+use pwrfgs_core::{AdamUpdate, ColumnSpec, GaussianCloud, Real, WeightGroup};
 
 /// First and second moments of all learned parameters.
 #[derive(Clone, Debug)]
@@ -17,17 +10,6 @@ pub(crate) struct Adam {
     pub(crate) cloud: [GaussianCloud; 2],
     /// Moments of the network.
     pub(crate) weights: [Vec<Real>; 2],
-}
-
-/// Constants of one update step.
-#[derive(Clone, Copy)]
-struct Update {
-    rate: Real,
-    eps: Real,
-    /// Bias corrections 1 − βᵏ after k steps.
-    unbias: [Real; 2],
-    l2: Real,
-    decay: Real,
 }
 
 /// Learning rates at a step, from 1.
@@ -44,9 +26,25 @@ impl Rates<'_> {
     }
 
     /// Returns the constants of an update at this step, without decay.
-    fn update_constants(self, rate: Real, eps: Real) -> Update {
-        let unbias = BETAS.map(|b| 1.0 - b.powi(self.step.min(i32::MAX as u64) as i32));
-        Update { rate, eps, unbias, l2: 0.0, decay: 0.0 }
+    fn update_constants(self, rate: Real, eps: Real) -> AdamUpdate {
+        let unbias = AdamUpdate::BETAS.map(|b| 1.0 - b.powi(self.step.min(i32::MAX as u64) as i32));
+        AdamUpdate { rate, eps, unbias, l2: 0.0, decay: 0.0 }
+    }
+
+    /// Returns the update of column `name` of the cloud; `None` if it is not learned.
+    pub(crate) fn column_update(self, specs: &[ColumnSpec], name: &str) -> Option<AdamUpdate> {
+        let (spec, optimizer) = (specs.iter().find(|spec| spec.name == name), &self.training.optimizer);
+        let rate = column_rate(optimizer, spec, name, |schedule| self.rate(schedule))?;
+        Some(self.update_constants(rate, optimizer.eps))
+    }
+
+    /// Returns the update of a group of weights of the network.
+    pub(crate) fn weight_update(self, group: &WeightGroup) -> AdamUpdate {
+        let optimizer = &self.training.optimizer;
+        let warm = (self.step as f64 / optimizer.network_warmup.max(1) as f64).min(1.0) as Real;
+        let update = self.update_constants(warm * self.rate(optimizer.network), optimizer.network_eps);
+        let decayed = AdamUpdate { l2: optimizer.network_l2, decay: optimizer.network_decay, ..update };
+        if group.decays { decayed } else { update }
     }
 }
 
@@ -68,17 +66,16 @@ impl Adam {
         cloud: &mut GaussianCloud,
         d_cloud: &GaussianCloud,
     ) -> Result<(), String> {
-        let (n, optimizer) = (cloud.len(), &rates.training.optimizer);
+        let n = cloud.len();
         let [first, second] = &mut self.cloud;
         let columns = cloud.columns_mut().zip(d_cloud.columns()).zip(first.columns_mut().zip(second.columns_mut()));
         for (((name, _, x), (_, _, d)), ((_, _, m), (_, _, v))) in columns {
-            let spec = specs.iter().find(|spec| spec.name == name);
-            let Some(rate) = column_rate(optimizer, spec, name, |schedule| rates.rate(schedule)) else { continue };
-            let stepped = match spec {
-                Some(spec) if !spec.adam => descend(x, d, rate * n as Real), // N as in `ColumnSpec::adam`
-                _ => rates.update_constants(rate, optimizer.eps).apply(x, d, m, v),
-            };
-            stepped.map_err(|()| format!("`{name}`"))?;
+            let Some(update) = rates.column_update(specs, name) else { continue };
+            let is_plain = specs.iter().any(|spec| spec.name == name && !spec.adam);
+            let is_finite = if is_plain { descend(x, d, update.rate * n as Real) } else { update.apply(x, d, m, v) };
+            if !is_finite {
+                return Err(format!("`{name}`"));
+            }
         }
         Ok(())
     }
@@ -94,17 +91,13 @@ impl Adam {
         weights: &mut [Real],
         d_weights: &[Real],
     ) -> Result<(), String> {
-        let optimizer = &rates.training.optimizer;
-        let warm = (rates.step as f64 / optimizer.network_warmup.max(1) as f64).min(1.0) as Real;
-        let update = rates.update_constants(warm * rates.rate(optimizer.network), optimizer.network_eps);
-        let decayed = Update { l2: optimizer.network_l2, decay: optimizer.network_decay, ..update };
         let [first, second] = &mut self.weights;
-        for WeightGroup { range, decays } in groups {
-            let range = || range.clone();
+        for group in groups {
+            let range = || group.range.clone();
             let (x, m, v) = (&mut weights[range()], &mut first[range()], &mut second[range()]);
-            (if *decays { decayed } else { update })
-                .apply(x, &d_weights[range()], m, v)
-                .map_err(|()| "the network".to_owned())?;
+            if !rates.weight_update(group).apply(x, &d_weights[range()], m, v) {
+                return Err("the network".to_owned());
+            }
         }
         Ok(())
     }
@@ -132,55 +125,10 @@ fn column_rate(
     (rate != 0.0).then_some(rate)
 }
 
-/// Runs a step of gradient descent: x −= rate · d. Returns an error if a value is no longer finite.
-fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
+/// Runs a step of gradient descent: x −= rate · d. Returns whether all values are finite.
+fn descend(x: &mut [Real], d: &[Real], rate: Real) -> bool {
     x.iter_mut().zip(d).for_each(|(x, d)| *x -= rate * d);
-    if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(()) }
-}
-
-impl Update {
-    /// Runs a step of Adam on values x with gradients d and moments m and v. Returns an error if a value is no longer finite.
-    fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
-        const CHUNK: usize = 16_384; // values per task
-        let parts = (x.par_chunks_mut(CHUNK))
-            .zip(d.par_chunks(CHUNK))
-            .zip(m.par_chunks_mut(CHUNK))
-            .zip(v.par_chunks_mut(CHUNK));
-        let finite = parts
-            .map(|(((x, d), m), v)| {
-                pulp::Arch::new().dispatch(
-                    #[inline(always)]
-                    || self.apply_to_chunk(x, d, m, v),
-                )
-            })
-            .reduce(|| true, |a, b| a && b);
-        if finite { Ok(()) } else { Err(()) }
-    }
-
-    /// Updates some values by the rule of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted
-    /// from the value. Returns whether all values are finite.
-    ///
-    /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
-    /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with
-    /// small activations are subnormal.
-    #[inline(always)]
-    fn apply_to_chunk(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> bool {
-        let [beta1, beta2] = BETAS;
-        let mut finite = true;
-        for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
-            let g = d + self.l2 * *x;
-            let first = beta1 * *m + (1.0 - beta1) * g;
-            let second = beta2 * *v + (1.0 - beta2) * g * g;
-            let is_idle = first.abs() < Real::MIN_POSITIVE;
-            *m = if is_idle { 0.0 } else { first };
-            *v = if is_idle && second < Real::MIN_POSITIVE { 0.0 } else { second };
-            let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
-            let next = *x - self.rate * (step + self.decay * *x);
-            *x = if self.l2 > 0.0 && next.abs() < NEGLIGIBLE { 0.0 } else { next };
-            finite &= x.is_finite();
-        }
-        finite
-    }
+    x.iter().all(|x| x.is_finite())
 }
 
 #[cfg(test)]
@@ -203,60 +151,6 @@ mod tests {
         assert!(cloud.extra[0].values.iter().zip(expected).all(|(m, e)| (m - e).abs() < 1e-6), "{:?}", cloud.extra[0]);
     }
 
-    /// Three steps of PyTorch's Adam (lr 0.1, betas 0.9 and 0.999, eps 1e-8) from x = 1 with gradients 0.5, -1, 2.
-    #[test]
-    fn adam_matches_pytorch() {
-        let update = |step: i32| Update {
-            rate: 0.1,
-            eps: 1e-8,
-            unbias: [1.0 - (0.9 as Real).powi(step), 1.0 - (0.999 as Real).powi(step)],
-            l2: 0.0,
-            decay: 0.0,
-        };
-        let (mut x, mut m, mut v) = (vec![1.0], vec![0.0], vec![0.0]);
-        // Computed by hand: m̂/√v̂ is 1, -0.36610, 0.41966.
-        for (step, (gradient, expected)) in [(0.5, 0.9), (-1.0, 0.936_610), (2.0, 0.894_645)].into_iter().enumerate() {
-            update(step as i32 + 1).apply(&mut x, &[gradient], &mut m, &mut v).unwrap();
-            assert!((x[0] - expected as Real).abs() < 2e-5, "step {}: {} is not {expected}", step + 1, x[0]);
-        }
-    }
-
-    #[test]
-    fn decoupled_decay_shrinks_and_l2_enters_moments() {
-        let quiet = Update { rate: 0.1, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.5 };
-        let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
-        quiet.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
-        assert!((x[0] - 1.9).abs() < 1e-6, "2 - 0.1·0.5·2, found {}", x[0]);
-        let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
-        Update { l2: 0.5, decay: 0.0, ..quiet }.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
-        assert!((x[0] - 1.9).abs() < 1e-5, "Adam moves by the rate whatever the size of the gradient, found {}", x[0]);
-    }
-
-    /// Numbers below the smallest normal one are slow, and half the moments of a network of dead units end as such.
-    #[test]
-    fn moments_without_gradient_decay_to_zero() {
-        let update = Update { rate: 0.1, eps: 1e-15, unbias: [1.0, 1.0], l2: 0.0, decay: 0.0 };
-        let (mut x, mut m, mut v) = (vec![2.0, 1.0], vec![1e-3, 1e-3], vec![2.0 * Real::MIN_POSITIVE, 1.0]);
-        for _ in 0..if size_of::<Real>() == 4 { 1_000 } else { 8_000 } {
-            update.apply(&mut x, &[0.0; 2], &mut m, &mut v).unwrap();
-        }
-        assert!(m == [0.0; 2] && v[0] == 0.0 && v[1] > 0.0, "{m:?} {v:?}");
-    }
-
-    /// WRF-GS trains with L2 decay, and most weights of its first layers lose their gradient.
-    #[test]
-    fn weights_without_gradient_decay_to_zero_under_l2() {
-        let update = Update { rate: 8e-4, eps: 1e-8, unbias: [1.0, 1.0], l2: 5e-5, decay: 0.0 };
-        let (mut x, mut m, mut v) = (vec![1e-3, 1e-3], vec![0.0; 2], vec![0.0; 2]);
-        for _ in 0..2_000 {
-            update.apply(&mut x, &[0.0, 1e-3], &mut m, &mut v).unwrap();
-        }
-        assert!(x[0] == 0.0 && x[1] < -0.1, "{x:?}");
-        let (mut x, mut m, mut v) = (vec![1e-20], vec![0.0], vec![0.0]);
-        Update { l2: 0.0, ..update }.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
-        assert_eq!(x, [1e-20], "without L2 no weight changes");
-    }
-
     #[test]
     fn weights_outside_groups_and_their_moments_keep_their_values() {
         let (mut weights, cloud) = (vec![1.0; 6], GaussianCloud::zeros(0));
@@ -270,11 +164,5 @@ mod tests {
         assert!(weights.iter().zip(expected).all(|(w, e)| (w - e).abs() < 1e-6), "{weights:?}");
         let moved: Vec<usize> = (0..6).filter(|&i| adam.weights[0][i] != 0.0).collect();
         assert_eq!(moved, [2, 5]);
-    }
-
-    #[test]
-    fn gradient_that_is_not_finite_is_an_error() {
-        let update = Update { rate: 0.1, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.0 };
-        assert!(update.apply(&mut [1.0], &[Real::NAN], &mut [0.0], &mut [0.0]).is_err());
     }
 }

@@ -153,7 +153,7 @@ fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, 
             inputs.carriers.extend(carrier);
         } else if last_link.is_none_or(|(l, j)| l != location || j >= i && !each) || carrier != last_carrier {
             pose = stages.origin.local_pose(query.pose);
-            let (shifted, exact) = (pose.origin().to_array().map(&mut *shift), pose.origin().to_array());
+            let (shifted, exact) = (pose.position_vec().to_array().map(&mut *shift), pose.position_vec().to_array());
             (0..3).for_each(|k| pose.position[k] += (shifted[k] - exact[k]) as f64);
             inputs.values.extend(shifted);
             inputs.carriers.extend(carrier);

@@ -1,10 +1,9 @@
 //! Memory of a training step, and [`TimeEstimate`]: the time of a training before its first step.
 
-use crate::adam::BETAS;
 use crate::settings::{Densify, Rays, Training};
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::Checked;
-use pwrfgs_core::{Deformation, Error, InitializerInput, KEPT_BYTES, Real, Result};
+use pwrfgs_core::{AdamUpdate, Deformation, Error, InitializerInput, KEPT_BYTES, Real, Result};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
@@ -158,7 +157,7 @@ impl Trainer<'_> {
         let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
         let grows = t.densify.every > 0 && t.densify.from < before && self.stages.method.traits().blends;
         let full = if grows { n.max(t.densify.max_gaussians) } else { n };
-        let masks = pruners.iter().filter_map(|pruner| pruner.steps_to_close(BETAS)).min();
+        let masks = pruners.iter().filter_map(|pruner| pruner.steps_to_close(AdamUpdate::BETAS)).min();
         let (from, kept) = match (self.goal, masks) {
             _ if n < 2 || until == before || pruners.is_empty() => (until, [1.0; 3]),
             (Some(goal), _) => (before, [goal.target.min(full) as f64 / full as f64; 3]),
@@ -194,9 +193,10 @@ impl Trainer<'_> {
         let begun = Instant::now();
         let mut seconds = Vec::new();
         while seconds.len() <= TIMED && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
-            let step = Instant::now();
-            self.step()?;
-            seconds.push(step.elapsed().as_secs_f64());
+            let begun = Instant::now();
+            // A device that keeps the parameters runs several steps at once.
+            let steps = self.steps(if seconds.is_empty() { 1 } else { 10 })?.len();
+            seconds.push(begun.elapsed().as_secs_f64() / steps as f64);
             if begun.elapsed() > 4 * PATIENCE {
                 break;
             }

@@ -9,6 +9,7 @@ mod adam;
 mod batches;
 mod checkpoint;
 mod densify;
+mod device_steps;
 mod edit;
 mod estimate;
 mod graph;

@@ -1,6 +1,6 @@
 //! `Trainer`: the loop of algorithm 1, step by step.
 
-use crate::adam::Adam;
+use crate::adam::{Adam, Rates};
 use crate::batches::{Batches, plane_of_step};
 use crate::densify;
 use crate::edit::{self, GaussianIds, PerGaussianState};
@@ -9,10 +9,11 @@ use crate::loss::Objective;
 use crate::plan::TrainingPlan;
 use crate::stepper::Stepper;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Plugin, PruneTarget, Pruner,
-    Real, Result, StepContext, WeightGroup, device, prune_contexts, rng,
+    AdamUpdate, CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Plugin, PruneTarget,
+    Pruner, Real, Result, StepContext, WeightGroup, device, prune_contexts, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 /// Results of one training step.
@@ -191,19 +192,18 @@ impl Trainer<'_> {
     /// [`Error::NonFinite`] with step and tensor, [`Error::Collapsed`] if a removal leaves too few Gaussians,
     /// [`Error::Device`] of the GPU, [`Error::Read`] of a spectrum. The trainer cannot be used afterwards.
     pub fn step(&mut self) -> Result<StepReport> {
-        // Runs on a thread of the pool, so that parallel loops need not enter it again.
-        rayon::scope(|_| self.run_step())
+        Ok(self.steps(1)?.remove(0))
     }
 
     /// Runs one step on the calling thread and those of its pool: batch, [`Stepper`], edit. Errors are those of
     /// [`Self::step`].
-    fn run_step(&mut self) -> Result<StepReport> {
+    pub(crate) fn run_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         self.before_reset = None;
         let context = self.context(step);
         self.set_plane(step);
         let batch = self.batches.draw_batch(step, &self.plan, self.data, &self.stages)?;
-        let pruners = if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
+        let pruners = self.pruners_of(&context);
         let dropout = self.draw_dropout(step);
         let (loss, penalty) = self.stepper().step(&batch, &pruners, dropout.as_deref(), &context)?;
         let pruned = self.edit(&pruners, &context)?;
@@ -211,6 +211,23 @@ impl Trainer<'_> {
         self.done = step;
         let (loss, penalty, gaussians) = (loss as f64, penalty as f64, self.cloud.len());
         Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })
+    }
+
+    /// Returns the pruners that act in a step.
+    pub(crate) fn pruners_of(&self, context: &StepContext) -> Vec<Plugin<dyn Pruner>> {
+        if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() }
+    }
+
+    /// Returns the update of each column of the cloud in a step; `None` for those that are not learned.
+    pub(crate) fn column_updates(&self, step: u64) -> Vec<Option<AdamUpdate>> {
+        let rates = Rates { training: &self.plan.training, step };
+        self.cloud.columns().map(|(name, ..)| rates.column_update(&self.specs, name)).collect()
+    }
+
+    /// Returns the updates of the learned weights in a step.
+    pub(crate) fn weight_updates(&self, step: u64) -> Vec<(Range<usize>, AdamUpdate)> {
+        let rates = Rates { training: &self.plan.training, step };
+        self.groups.iter().map(|group| (group.range.clone(), rates.weight_update(group))).collect()
     }
 
     /// Borrows what [`Stepper`] needs.
@@ -231,7 +248,11 @@ impl Trainer<'_> {
 
     /// Changes state and number of the Gaussians as pruners and algorithm 1 prescribe. Returns the state before a removal by
     /// pruners, `None` without one, or an error as [`Self::change_count`].
-    fn edit(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Option<PruneStepState>> {
+    pub(crate) fn edit(
+        &mut self,
+        pruners: &[Plugin<dyn Pruner>],
+        context: &StepContext,
+    ) -> Result<Option<PruneStepState>> {
         for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }
@@ -242,7 +263,7 @@ impl Trainer<'_> {
     }
 
     /// Sets the image plane of `step`: every `stride`-th row and column.
-    fn set_plane(&mut self, step: u64) {
+    pub(crate) fn set_plane(&mut self, step: u64) {
         let plane = plane_of_step(&self.plane, &self.plan, self.data.task(), step);
         if plane != self.stages.plane {
             Arc::make_mut(&mut self.stages).setup.plane = plane;

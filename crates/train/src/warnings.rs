@@ -1,11 +1,10 @@
 //! Warnings before the first step about settings without effect or with too little data, and a report of large removals.
 
-use crate::adam::BETAS;
 use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, largest_scale};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::title_of;
-use pwrfgs_core::{Error, ImagePlane, Real, Result};
+use pwrfgs_core::{AdamUpdate, Error, ImagePlane, Real, Result};
 
 impl Trainer<'_> {
     /// Returns one sentence per setting that has no effect, or too few pixels, with the initial Gaussians.
@@ -51,7 +50,7 @@ impl Trainer<'_> {
     /// pruning ends; `None` if it can, or a target decides.
     fn slow_mask_warning(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
-        let (needed, until) = (pruner.steps_to_close(BETAS)?, training.prune_until);
+        let (needed, until) = (pruner.steps_to_close(AdamUpdate::BETAS)?, training.prune_until);
         (needed > until && self.goal.is_none_or(|goal| goal.pruner != k)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \

@@ -19,20 +19,20 @@ use pwrfgs_gpu::draw::{
 use pwrfgs_gpu::{Gpu, GpuStep, for_tests};
 use pwrfgs_raster::{AlphaBlending, Mercator};
 
-const COUNTS: [usize; 7] = [0, 1, 63, 64, 65, 157, 1000];
+pub(super) const COUNTS: [usize; 7] = [0, 1, 63, 64, 65, 157, 1000];
 const SIZE: (usize, usize) = (90, 40); // no whole number of tiles
 
-fn random(name: &str, len: usize) -> Vec<Real> {
+pub(super) fn random(name: &str, len: usize) -> Vec<Real> {
     let mut random = rng::stream(4, name, len as u64);
     (0..len).map(|_| rng::normal(&mut random)).collect()
 }
 
-fn vectors<const W: usize>(name: &str, n: usize) -> Vec<[Real; W]> {
+pub(super) fn vectors<const W: usize>(name: &str, n: usize) -> Vec<[Real; W]> {
     random(name, W * n).as_chunks::<W>().0.to_vec()
 }
 
 /// Gaussians around the receiver, some of them out of view; gates and existence factors, some of them 0.
-fn cloud_of(n: usize) -> (GaussianCloud, Vec<Real>, Vec<Real>) {
+pub(super) fn cloud_of(n: usize) -> (GaussianCloud, Vec<Real>, Vec<Real>) {
     let mut cloud = GaussianCloud::zeros(n);
     cloud.means = vectors("means", n).iter().map(|[x, y, z]: &[Real; 3]| [2.0 * x, 2.0 * y, z + 1.2]).collect();
     cloud.log_scales = vectors("scales", n).iter().map(|s: &[Real; 3]| s.map(|s| 0.5 * s - 1.7)).collect();
@@ -49,7 +49,7 @@ fn terms_of(n: usize) -> Deltas {
     Deltas { scales: scale(vectors("d scales", n), 0.03), quats, signals: vectors("d signals", n) }
 }
 
-fn setup() -> MeasurementSetup {
+pub(super) fn setup() -> MeasurementSetup {
     let plane = ImagePlane::around(SIZE.0, SIZE.1, Elevation::UPPER);
     let pose = Pose { position: [0.1, -0.2, 0.3], ..Pose::IDENTITY };
     MeasurementSetup::spectra(Origin::default(), pose, plane)
@@ -68,7 +68,7 @@ fn norm(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Compares by norm.
-fn compare(name: &str, found: &[Real], expected: &[Real], limit: f64) {
+pub(super) fn compare(name: &str, found: &[Real], expected: &[Real], limit: f64) {
     assert_eq!(found.len(), expected.len(), "{name}");
     let size = norm(expected.iter().map(|&d| d.into()));
     let off = norm(found.iter().zip(expected).map(|(a, b)| f64::from(a - b)));
@@ -302,7 +302,7 @@ fn readouts_match() {
 }
 
 /// Loss of predictions and its derivative on the CPU.
-fn loss_on_cpu(predictions: &[Real], loss: &SpectrumLoss<'_>, size: (usize, usize)) -> (Real, Vec<Real>) {
+pub(super) fn loss_on_cpu(predictions: &[Real], loss: &SpectrumLoss<'_>, size: (usize, usize)) -> (Real, Vec<Real>) {
     let (&SpectrumLoss { truths, ssim_weight, window, is_squared }, len) = (loss, predictions.len() as Real);
     let (pixels, mut value, mut d) = (size.0 * size.1, 0.0_f64, Vec::new());
     for (p, t) in predictions.chunks(pixels).zip(truths.chunks(pixels)) {

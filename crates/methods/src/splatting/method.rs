@@ -239,6 +239,11 @@ impl Method for Splatting {
         self.gpu(call.setup).map(|gpu| self.gpu_loss_vjp(gpu, call, loss))
     }
 
+    #[cfg(feature = "gpu")]
+    fn device_stepper<'a>(&'a self, setup: &MeasurementSetup) -> Option<Box<dyn pwrfgs_core::DeviceStepper + 'a>> {
+        Some(Box::new(self.resident(setup)?))
+    }
+
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);

@@ -1,5 +1,7 @@
 //! `Mlp` on the GPU: chunks of up to 65,536 Gaussians, transmitter by transmitter.
 
+pub(crate) mod resident;
+
 use super::{MlpLayers, append};
 use crate::dense;
 use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, WEIGHTS, chunk_rows, encode_chunk};

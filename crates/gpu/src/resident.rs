@@ -1,0 +1,197 @@
+//! Whole training steps on the GPU: the kernels of `resident.wgsl` as passes of a [`GpuStep`]. Parameters, moments and
+//! statistics stay in the buffers from step to step.
+//!
+//! ```text
+//! STATE ─► encode ─► network ─► HEADS ──► arrange_terms, arrange_signals ─┐
+//! STATE ─► depth_keys, sort ─► KEYS ────► arrange_cloud ──────────────────┴─► drawing, loss and their derivatives
+//! D_ROWS, D_SPLATS ─► scatter_cloud ─► D_STATE ─► adam ─► STATE
+//!                  ─► scatter_terms ─► D_HEADS ─► network ─► adam
+//!                  ─► statistics ─► STATS
+//! ```
+
+use crate::adapters::Gpu;
+use crate::draw::{CLOUD, D_ROWS, D_SPLATS, SIGNALS, TERMS};
+use crate::passes::groups_of_256;
+use crate::step::{ARGUMENTS, GpuStep};
+use pwrfgs_core::{AdamUpdate, Real, Result};
+use std::ops::Range;
+
+/// Slots of [`Resident`], after its first one: values and moments of the Gaussians `[3, P]`.
+pub const STATE: usize = 0;
+/// Derivatives by the Gaussians `[P]`.
+pub const D_STATE: usize = 1;
+/// Statistics `[4, N]`: columns of `CloudStats`.
+pub const STATS: usize = 2;
+/// Keys of the depth order.
+const KEYS: usize = 3;
+/// Outputs of the network `[9, N]`.
+pub const HEADS: usize = 4;
+/// Their cotangents.
+pub const D_HEADS: usize = 5;
+/// Penalty of the masks per step.
+pub const PENALTIES: usize = 6;
+/// Inputs of the steps that were uploaded together: encoded transmitters, constants of drawings and of losses, and spectra.
+pub const INPUTS: usize = 7;
+
+/// Number of outputs of the network: rotation 4, scales 3, signal 2.
+const OUTPUTS: usize = 9;
+/// Values per Gaussian before the masks.
+const FIXED_COLUMNS: usize = 13;
+/// Number of keys that a workgroup sorts.
+const SORTED: usize = 512;
+/// Invocations per workgroup of the kernels per Gaussian.
+const LANES: usize = 64;
+
+/// Arguments of a kernel: `Op` of `resident.wgsl`.
+#[derive(Clone, Copy, Default)]
+struct Op {
+    n: usize,
+    a: usize,
+    c: usize,
+    k: usize,
+    j: usize,
+    x: [Real; 9],
+}
+
+impl Op {
+    /// Returns the numbers in the order of `resident.wgsl`.
+    fn numbers(self) -> [usize; ARGUMENTS] {
+        let Self { n, a, c, k, j, x } = self;
+        let mut all = [0; ARGUMENTS];
+        all[..5].copy_from_slice(&[n, a, c, k, j]);
+        all[5..14].iter_mut().zip(x).for_each(|(bits, x)| *bits = (x as f32).to_bits() as usize);
+        all
+    }
+}
+
+/// Gaussians whose parameters stay on the GPU.
+#[derive(Clone, Copy, Debug)]
+pub struct Resident {
+    /// Number of Gaussians N.
+    pub gaussians: usize,
+    /// Number of parameters P: 13 N, and N masks.
+    pub parameters: usize,
+    /// Number of channels of a drawing.
+    pub channels: usize,
+    /// First slot of the drawing.
+    pub drawing: usize,
+    /// First slot of the state.
+    pub state: usize,
+}
+
+impl Resident {
+    /// Returns the sizes of the slots of the state, for the penalties of `steps` steps and so many `inputs`.
+    pub fn sizes(&self, steps: usize, inputs: usize) -> Vec<usize> {
+        let &Self { gaussians: n, parameters, .. } = self;
+        vec![3 * parameters, parameters, 4 * n, 2 * self.keys(), OUTPUTS * n, OUTPUTS * n, steps, inputs]
+    }
+
+    /// Returns the number of keys: a power of two.
+    fn keys(&self) -> usize {
+        self.gaussians.next_power_of_two().max(SORTED)
+    }
+
+    /// Returns the offset of the masks; no offset without masks.
+    fn masks(&self) -> usize {
+        let offset = FIXED_COLUMNS * self.gaussians;
+        if self.parameters > offset { offset } else { u32::MAX as usize }
+    }
+
+    /// Returns a slot of the state.
+    pub fn slot(&self, slot: usize) -> usize {
+        self.state + slot
+    }
+
+    /// Records a kernel per Gaussian, with slots A, H, E and C; B are the keys.
+    fn per_row(&self, step: &mut GpuStep<'_>, name: &str, [a, h, e, c]: [usize; 4], x: [Real; 3]) {
+        let mut op = Op { n: self.gaussians, a: self.masks(), k: self.keys(), j: self.channels, ..Op::default() };
+        op.x[..3].copy_from_slice(&x);
+        let groups = [self.gaussians.div_ceil(LANES), 1, 1];
+        step.pass(name, [a, self.slot(KEYS), h, e, c], op.numbers(), groups);
+    }
+
+    /// Sorts the Gaussians by their distance from `position`.
+    pub fn sort(&self, step: &mut GpuStep<'_>, position: [Real; 3]) {
+        let (keys, slot, means) = (self.keys(), self.slot(KEYS), self.slot(STATE));
+        let mut op = Op { n: self.gaussians, k: keys, ..Op::default() };
+        op.x[..3].copy_from_slice(&position);
+        step.pass("depth_keys", [means, means, means, means, slot], op.numbers(), [keys.div_ceil(256), 1, 1]);
+        let mut pass = |name: &str, op: Op, groups: usize| {
+            step.pass(name, [means, means, means, means, slot], op.numbers(), [groups, 1, 1]);
+        };
+        let op = Op { k: keys, ..Op::default() };
+        pass("sort_block", Op { j: 2, a: SORTED, ..op }, keys / SORTED);
+        let mut block = 2 * SORTED;
+        while block <= keys {
+            let mut distance = block / 2;
+            while distance >= SORTED {
+                pass("sort_pairs", Op { j: distance, a: block, ..op }, (keys / 2).div_ceil(256));
+                distance /= 2;
+            }
+            pass("sort_block", Op { j: block, a: block, ..op }, keys / SORTED);
+            block *= 2;
+        }
+    }
+
+    /// Writes the Gaussians to the drawing in depth order; gates are open from this `threshold` of σ(m).
+    pub fn arrange_cloud(&self, step: &mut GpuStep<'_>, threshold: Real) {
+        let state = self.slot(STATE);
+        let slots = [state, state, state, self.drawing + CLOUD];
+        self.per_row(step, "arrange_cloud", slots, [threshold, 0.0, 0.0]);
+    }
+
+    /// Writes the outputs of the network to the drawing in depth order.
+    pub fn arrange_heads(&self, step: &mut GpuStep<'_>) {
+        let (heads, state) = (self.slot(HEADS), self.slot(STATE));
+        self.per_row(step, "arrange_terms", [heads, heads, heads, self.drawing + TERMS], [0.0; 3]);
+        self.per_row(step, "arrange_signals", [heads, state, heads, self.drawing + SIGNALS], [0.0; 3]);
+    }
+
+    /// Adds the derivatives of the drawing to those of the Gaussians, sets those of the outputs of the network, and adds to the
+    /// statistics, for an image of this `size` and `drawings` of them in the step.
+    pub fn scatter(&self, step: &mut GpuStep<'_>, size: (usize, usize), drawings: usize) {
+        let (rows, splats, state) = (self.drawing + D_ROWS, self.drawing + D_SPLATS, self.slot(STATE));
+        self.per_row(step, "scatter_cloud", [rows, splats, state, self.slot(D_STATE)], [0.0; 3]);
+        self.per_row(step, "scatter_terms", [rows, splats, rows, self.slot(D_HEADS)], [0.0; 3]);
+        let [width, height, drawings] = [size.0, size.1, drawings].map(|number| number as Real);
+        let scales = [0.5 * width, 0.5 * height, drawings];
+        self.per_row(step, "statistics", [rows, splats, rows, self.slot(STATS)], scales);
+    }
+
+    /// Adds the derivative of the penalty `lambda` · mean σ(m), and writes the penalty of the `index`-th step.
+    pub fn penalise(&self, step: &mut GpuStep<'_>, lambda: Real, index: usize) {
+        let (state, n) = (self.slot(STATE), self.gaussians);
+        let mut op = Op { n, a: self.masks(), c: index, ..Op::default() };
+        op.x[0] = lambda / n as Real;
+        let groups = [n.div_ceil(LANES), 1, 1];
+        step.pass("penalise", [state, state, state, state, self.slot(D_STATE)], op.numbers(), groups);
+        step.pass("sum_masks", [state, state, state, state, self.slot(PENALTIES)], op.numbers(), [1, 1, 1]);
+    }
+}
+
+impl GpuStep<'_> {
+    /// Encodes `rows` means from row `first` of slot `means` with octaves, to slot `c` `[3 + 6L, rows]`.
+    pub fn encode(&mut self, means: usize, (first, rows): (usize, usize), frequencies: usize, c: usize) {
+        let op = Op { n: rows, a: 3 * first, k: frequencies, ..Op::default() };
+        self.pass("encode", [means, means, means, means, c], op.numbers(), groups_of_256(3 * rows));
+    }
+
+    /// Runs Adam on parameters `range` of the state in slot `state` `[3, parameters]`, with their derivatives in slot `d`.
+    pub fn adam(&mut self, (state, parameters): (usize, usize), d: usize, range: Range<usize>, update: &AdamUpdate) {
+        let &AdamUpdate { rate, eps, unbias, l2, decay } = update;
+        let ([unbias1, unbias2], [beta1, beta2]) = (unbias, AdamUpdate::BETAS);
+        let x = [rate, eps, unbias1, unbias2, l2, decay, beta1, beta2, AdamUpdate::NEGLIGIBLE];
+        let op = Op { n: range.len(), a: range.start, c: range.start, k: parameters, x, ..Op::default() };
+        self.pass("adam", [d, d, d, d, state], op.numbers(), groups_of_256(range.len()));
+    }
+}
+
+impl Gpu {
+    /// Begins training steps with buffers of at least `sizes` numbers by slot, which only such steps use.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn training_step(&self, sizes: &[usize]) -> Result<GpuStep<'_>> {
+        self.step_in(&self.training, sizes, "use a smaller `training.batch`, fewer Gaussians, or the CPU")
+    }
+}

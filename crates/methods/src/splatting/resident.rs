@@ -1,0 +1,271 @@
+//! Training steps of [`Splatting`] with [`Mlp`] whose parameters stay on the GPU: the host passes batches, and receives losses
+//! and the state after the last step.
+
+use super::gpu::view_constants;
+use super::{ReceiverView, Splatting};
+use pwrfgs_core::{DeviceStep, DeviceStepper, GaussianCloud, MeasurementSetup, Real, Result, TrainingState};
+use pwrfgs_gpu::draw::{Drawing, GpuReadout, LISTS, LOSS, LOSS_LEN, LOSSES, TRUTHS, VIEW, VIEW_LEN};
+use pwrfgs_gpu::resident::{D_HEADS, D_STATE, HEADS, INPUTS, PENALTIES, Resident, STATE, STATS};
+use pwrfgs_gpu::{Gpu, GpuStep};
+use pwrfgs_networks::{Mlp, ResidentMlp, ResidentSlots};
+use pwrfgs_raster::Mercator;
+use std::any::Any;
+
+/// Splatting whose parameters stay on the GPU.
+pub(super) struct ResidentSplatting<'a> {
+    pub(super) gpu: &'a Gpu,
+    pub(super) mercator: &'a Mercator,
+    pub(super) readout: GpuReadout,
+    pub(super) mlp: &'a Mlp,
+    pub(super) channels: usize,
+    /// Maximum number of Gaussians per chunk of the network.
+    pub(super) most: usize,
+}
+
+/// Buffers of some steps, and the offsets of their inputs.
+struct Plan<'a> {
+    network: ResidentMlp,
+    resident: Resident,
+    steps: &'a [DeviceStep],
+    inputs: Vec<Real>,
+    /// Offsets of the inputs of each step.
+    offsets: Vec<StepOffsets>,
+}
+
+/// Offsets in the inputs.
+struct StepOffsets {
+    /// Constants of the projection, then those of the loss.
+    constants: usize,
+    /// Encoded transmitters, one after the other.
+    transmitters: usize,
+    /// Measured spectra, one after the other.
+    truths: usize,
+}
+
+impl Splatting {
+    /// Returns the steps on the GPU of the process; `None` without a GPU, or if a part of the method or of the setup has no
+    /// kernels for them.
+    pub(super) fn resident(&self, setup: &MeasurementSetup) -> Option<ResidentSplatting<'_>> {
+        self.resident_on(self.gpu(setup)?, setup)
+    }
+
+    /// As [`Self::resident`], on this GPU.
+    pub(super) fn resident_on<'a>(&'a self, gpu: &'a Gpu, setup: &MeasurementSetup) -> Option<ResidentSplatting<'a>> {
+        let (mercator, readout) = self.gpu_parts(setup).ok()?;
+        let deformation: &dyn Any = self.deformation.get();
+        let mlp: &Mlp = deformation.downcast_ref().filter(|mlp| ResidentMlp::supports(mlp))?;
+        let (channels, most) = (self.readout.channel_count(), ResidentMlp::most_rows(mlp, gpu));
+        (setup.receivers.len() == 1).then_some(ResidentSplatting { gpu, mercator, readout, mlp, channels, most })
+    }
+}
+
+impl DeviceStepper for ResidentSplatting<'_> {
+    fn run(&self, state: TrainingState<'_>, steps: &[DeviceStep]) -> Result<Vec<[Real; 2]>> {
+        let plan = self.plan(state.cloud, steps);
+        let mut entries = self.gpu.resident_list_entries(plan.resident.drawing);
+        loop {
+            let mut step = self.gpu.training_step(&self.sizes(&plan, entries))?;
+            upload_state(&mut step, &plan.resident, &state);
+            step.upload(plan.resident.slot(INPUTS), 0, &plan.inputs);
+            (0..steps.len()).for_each(|index| self.record(&mut step, &plan, index));
+            read_state(&mut step, &plan.resident, &state, steps.len());
+            let mut results = step.finish()?;
+            let after = results.split_off(results.len() - STATE_READS);
+            let mut needed = 0;
+            for of_link in results.chunks_exact(LINK_READS) {
+                needed = needed.max(Drawing::entry_count(&of_link[0])?);
+            }
+            if needed <= entries {
+                write_state(&after, state);
+                return Ok(plan.losses(&results, &after[STATE_READS - 1]));
+            }
+            entries = needed; // the lists did not fit, so results are not valid
+        }
+    }
+}
+
+/// Number of results per link: length of the tile lists, and losses.
+const LINK_READS: usize = 2;
+/// Number of results at the end: values and moments of the Gaussians, then of the weights, statistics, and penalties.
+const STATE_READS: usize = 4;
+
+impl ResidentSplatting<'_> {
+    /// Lays out the buffers of `steps`, and collects their inputs.
+    fn plan<'a>(&self, cloud: &GaussianCloud, steps: &'a [DeviceStep]) -> Plan<'a> {
+        let gaussians = cloud.len();
+        let drawing = ResidentMlp::slot_count(self.mlp);
+        let parameters = cloud.columns().map(|(_, _, values)| values.len()).sum();
+        let state = drawing + LOSSES + 1;
+        let resident = Resident { gaussians, parameters, channels: self.channels, drawing, state };
+        let slots = ResidentSlots {
+            means: resident.slot(STATE),
+            heads: resident.slot(HEADS),
+            d_heads: resident.slot(D_HEADS),
+            inputs: resident.slot(INPUTS),
+        };
+        let network = ResidentMlp::new(self.mlp, gaussians, self.most, slots);
+        let (mut inputs, mut offsets) = (Vec::new(), Vec::new());
+        for step in steps {
+            let constants = inputs.len();
+            inputs.extend(view_constants(self.mercator, &view_of(step)));
+            inputs.extend(step.ssim.1.taps());
+            let numbers = step.truths.len() as Real;
+            inputs.extend([(1.0 - step.ssim.0) / numbers, step.ssim.0 / numbers]);
+            let transmitters = inputs.len();
+            let positions = step.links.conditions();
+            step.links.pairs.iter().for_each(|link| {
+                inputs.extend(network.encode_transmitter(positions.positions()[link.location]));
+            });
+            offsets.push(StepOffsets { constants, transmitters, truths: inputs.len() });
+            inputs.extend(&step.truths);
+        }
+        Plan { network, resident, steps, inputs, offsets }
+    }
+
+    /// Returns the sizes of all slots, with `entries` entries of the tile lists.
+    fn sizes(&self, plan: &Plan<'_>, entries: usize) -> Vec<usize> {
+        let mut sizes = plan.network.sizes();
+        let mut drawing = Vec::new();
+        for step in plan.steps {
+            let of_step = self.shape(&plan.resident, step).sizes(Some(entries));
+            drawing.resize(of_step.len(), 0);
+            drawing.iter_mut().zip(of_step).for_each(|(most, size)| *most = size.max(*most));
+        }
+        sizes.extend(drawing);
+        sizes.extend(plan.resident.sizes(plan.steps.len(), plan.inputs.len()));
+        sizes
+    }
+
+    /// Returns the drawing of a link in `step`.
+    fn shape(&self, resident: &Resident, step: &DeviceStep) -> Drawing {
+        let plane = &step.setup.plane;
+        let (gaussians, size, channels) = (resident.gaussians, (plane.width, plane.height), self.channels);
+        Drawing { gaussians, links: 1, size, channels, readout: self.readout, has_terms: true }
+    }
+
+    /// Records the `index`-th step, with [`LINK_READS`] results per link, and sends it to the GPU.
+    fn record(&self, step: &mut GpuStep<'_>, plan: &Plan<'_>, index: usize) {
+        let Plan { network, resident, steps, offsets, .. } = plan;
+        let (of_step, offsets) = (&steps[index], &offsets[index]);
+        let (shape, links) = (self.shape(resident, of_step), of_step.links.pairs.len());
+        let (inputs, drawing) = (resident.slot(INPUTS), resident.drawing);
+        step.clear(resident.slot(D_STATE), resident.parameters);
+        step.copy_numbers((inputs, offsets.constants), drawing + VIEW, VIEW_LEN);
+        step.copy_numbers((inputs, offsets.constants + VIEW_LEN), drawing + LOSS, LOSS_LEN);
+        resident.sort(step, view_of(of_step).pose.position.map(|x| x as Real));
+        resident.arrange_cloud(step, of_step.mask.map_or(0.0, |mask| mask.threshold));
+        network.begin(step);
+        for link in 0..links {
+            let tx = offsets.transmitters + link * self.encoded_width();
+            network.forward(step, tx);
+            resident.arrange_heads(step);
+            step.copy_numbers((inputs, offsets.truths + link * shape.pixels()), drawing + TRUTHS, shape.pixels());
+            step.with_base(drawing, |step| draw_and_differentiate(step, &shape, of_step));
+            resident.scatter(step, shape.size, links);
+            network.backward(step, tx);
+        }
+        network.end(step);
+        if let Some(mask) = of_step.mask {
+            resident.penalise(step, mask.lambda, index);
+        }
+        plan.update(step, of_step);
+        step.send();
+    }
+
+    /// Returns the number of inputs per transmitter.
+    fn encoded_width(&self) -> usize {
+        pwrfgs_networks::encoding::encoded_width(self.mlp.tx_frequencies)
+    }
+}
+
+impl Plan<'_> {
+    /// Records the updates of all columns of the Gaussians and of the weights.
+    fn update(&self, step: &mut GpuStep<'_>, of_step: &DeviceStep) {
+        let Self { resident, network, .. } = self;
+        let mut start = 0;
+        for (update, width) in of_step.columns.iter().zip([3, 3, 4, 1, 2, 1]) {
+            let end = start + width * resident.gaussians;
+            if let Some(update) = update {
+                let state = (resident.slot(STATE), resident.parameters);
+                step.adam(state, resident.slot(D_STATE), start..end, update);
+            }
+            start = end;
+        }
+        for (range, update) in &of_step.weights {
+            let weights = (ResidentMlp::WEIGHTS, network.weight_count());
+            step.adam(weights, ResidentMlp::D_WEIGHTS, range.clone(), update);
+        }
+    }
+
+    /// Returns loss and penalty of each step, given the results of all links and the penalties.
+    fn losses(&self, results: &[Vec<Real>], penalties: &[Real]) -> Vec<[Real; 2]> {
+        let mut of_links = results.chunks_exact(LINK_READS);
+        let one = |(index, step): (usize, &DeviceStep)| {
+            let shares = &self.inputs[self.offsets[index].transmitters - 2..];
+            let sums = of_links.by_ref().take(step.links.pairs.len());
+            let loss = sums.map(|of_link| shares[0] * of_link[1][0] + shares[1] * of_link[1][1]).sum();
+            [loss, if step.mask.is_some() { penalties[index] } else { 0.0 }]
+        };
+        self.steps.iter().enumerate().map(one).collect()
+    }
+}
+
+/// Returns the view of the receiver in a step.
+fn view_of(step: &DeviceStep) -> ReceiverView {
+    ReceiverView { pose: step.setup.pose(), plane: step.setup.plane.clone() }
+}
+
+/// Records drawing, loss and their derivatives, and requests their results.
+fn draw_and_differentiate(step: &mut GpuStep<'_>, shape: &Drawing, of_step: &DeviceStep) {
+    shape.project(step);
+    shape.blend(step);
+    shape.read_out(step);
+    shape.loss(step, of_step.is_squared, of_step.ssim.0 > 0.0);
+    shape.read_out_vjp(step);
+    shape.blend_vjp(step);
+    shape.project_vjp(step);
+    step.read(LISTS, shape.tiles(), 1);
+    step.read(LOSSES, 0, 2);
+}
+
+/// Uploads values, moments and statistics.
+fn upload_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingState<'_>) {
+    let [first, second] = &*state.cloud_moments;
+    let clouds = [&*state.cloud, first, second];
+    let columns = clouds.iter().flat_map(|cloud| cloud.columns()).flat_map(|(_, _, values)| values);
+    step.upload(resident.slot(STATE), 0, &columns.copied().collect::<Vec<_>>());
+    let [first, second] = &*state.weight_moments;
+    step.upload(ResidentMlp::WEIGHTS, 0, &[&*state.weights, first, second].concat());
+    step.upload(resident.slot(STATS), 0, &state.stats.columns().map(|(_, column)| column).concat());
+}
+
+/// Requests the [`STATE_READS`] results at the end.
+fn read_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingState<'_>, steps: usize) {
+    step.read(resident.slot(STATE), 0, 3 * resident.parameters);
+    step.read(ResidentMlp::WEIGHTS, 0, 3 * state.weights.len());
+    step.read(resident.slot(STATS), 0, 4 * resident.gaussians);
+    step.read(resident.slot(PENALTIES), 0, steps);
+}
+
+/// Writes these results to the state.
+fn write_state(results: &[Vec<Real>], state: TrainingState<'_>) {
+    let mut numbers = &results[0][..];
+    let [first, second] = state.cloud_moments;
+    for cloud in [state.cloud, first, second] {
+        cloud.columns_mut().for_each(|(_, _, column)| take(&mut numbers, column));
+    }
+    let mut numbers = &results[1][..];
+    let [first, second] = state.weight_moments;
+    for values in [state.weights, first, second] {
+        take(&mut numbers, values);
+    }
+    let mut numbers = &results[2][..];
+    state.stats.columns_mut().into_iter().for_each(|(_, column)| take(&mut numbers, column));
+}
+
+/// Moves the first of `numbers` to `values`.
+fn take(numbers: &mut &[Real], values: &mut [Real]) {
+    let (first, rest) = numbers.split_at(values.len());
+    values.copy_from_slice(first);
+    *numbers = rest;
+}

@@ -1,0 +1,141 @@
+//! Steps on a device that keeps the parameters: the trainer plans the steps up to the next edit of the cloud, and the
+//! [`DeviceStepper`](pwrfgs_core::DeviceStepper) of the method runs them.
+
+use crate::densify;
+use crate::settings::Rays;
+use crate::trainer::{StepReport, Trainer};
+use pwrfgs_core::{
+    DeviceStep, Error, Phase, Real, Result, StepContext, StepRole, TrainingState, device, prune_contexts,
+};
+use std::sync::Arc;
+
+/// Maximum number of steps that run together, and of bytes of their measured spectra.
+const MOST_STEPS: u64 = 100;
+const MOST_BYTES: usize = 64 << 20;
+
+impl Trainer<'_> {
+    /// Runs up to `most` steps, at least one, and returns their reports: one step on the CPU, several where a device keeps the
+    /// parameters. They end with the first that changes the number of Gaussians or their state by a rule.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn steps(&mut self, most: u64) -> Result<Vec<StepReport>> {
+        // Runs on a thread of the pool, so that parallel loops need not enter it again.
+        rayon::scope(|_| match self.run_on_device(most)? {
+            Some(reports) => Ok(reports),
+            None => Ok(vec![self.run_step()?]),
+        })
+    }
+
+    /// Runs up to `most` steps on a device; `None` if it does not keep the parameters, or if something in the next step is
+    /// unknown to it.
+    fn run_on_device(&mut self, most: u64) -> Result<Option<Vec<StepReport>>> {
+        let settings = &self.plan.training;
+        let is_known = settings.dropout == 0.0 && settings.rays == Rays::All && self.specs.iter().all(|spec| spec.adam);
+        if device::name().is_none() || !is_known || self.cloud.is_empty() {
+            return Ok(None);
+        }
+        let stages = Arc::clone(&self.stages);
+        let Some(stepper) = stages.method.device_stepper(&stages.setup) else { return Ok(None) };
+        let planned = self.plan_steps(most.min(MOST_STEPS))?;
+        if planned.is_empty() {
+            return Ok(None);
+        }
+        self.before_reset = None;
+        let Self { cloud, weights, adam, stats, .. } = self;
+        let weights = Arc::make_mut(weights);
+        let (cloud_moments, weight_moments) = (&mut adam.cloud, &mut adam.weights);
+        let state = TrainingState { cloud, weights, cloud_moments, weight_moments, stats };
+        let losses = stepper.run(state, &planned)?;
+        self.check_finite(&losses)?;
+        let (first, count) = (self.done + 1, self.cloud.len());
+        let report = |(step, [loss, penalty]): (u64, [Real; 2])| {
+            let (phase, loss, penalty) = (self.phase(step), loss as f64, penalty as f64);
+            StepReport { step, phase, loss, penalty, gaussians: count, pruned: None }
+        };
+        let mut reports: Vec<StepReport> = (first..).zip(losses).map(report).collect();
+        let context = self.context(self.done + planned.len() as u64);
+        let pruned = self.edit(&self.pruners_of(&context), &context)?;
+        if let Some(last) = reports.last_mut() {
+            (last.pruned, last.gaussians) = (pruned, self.cloud.len());
+        }
+        self.done = context.step;
+        Ok(Some(reports))
+    }
+
+    /// Returns up to `most` steps, up to the first that edits the cloud or that a device cannot run.
+    ///
+    /// # Errors
+    /// A spectrum cannot be read.
+    fn plan_steps(&mut self, most: u64) -> Result<Vec<DeviceStep>> {
+        let (mut planned, mut bytes) = (Vec::new(), 0);
+        let last = self.plan.training.steps.min(self.done + most);
+        for step in self.done + 1..=last {
+            let context = self.context(step);
+            let mask = match self.role_of_pruners(&context) {
+                StepRole::Idle => None,
+                StepRole::Mask(mask) => Some(mask),
+                StepRole::Unknown => break,
+            };
+            self.set_plane(step);
+            let batch = self.batches.draw_batch(step, &self.plan, self.data, &self.stages)?;
+            let Some(loss) = self.objective.as_spectrum_loss(&batch.truths) else { break };
+            let (ssim, is_squared) = ((loss.ssim_weight, loss.window), loss.is_squared);
+            let setup = self.stages.setup.clone();
+            let (columns, weights) = (self.column_updates(step), self.weight_updates(step));
+            bytes += size_of_val(&batch.truths[..]);
+            let (links, truths) = (batch.inputs, batch.truths);
+            planned.push(DeviceStep { setup, links, truths, ssim, is_squared, mask, columns, weights });
+            if self.edits(&context) || bytes > MOST_BYTES {
+                break;
+            }
+        }
+        Ok(planned)
+    }
+
+    /// Returns what all pruners together do in a step: at most one mask learns.
+    fn role_of_pruners(&self, context: &StepContext) -> StepRole {
+        let pruners = self.pruners_of(context);
+        let mut joint = StepRole::Idle;
+        for (pruner, context) in pruners.iter().zip(prune_contexts(&pruners, context)) {
+            joint = match (joint, pruner.step_role(&context)) {
+                (joint, StepRole::Idle) => joint,
+                (StepRole::Idle, role) => role,
+                _ => StepRole::Unknown,
+            };
+        }
+        let learned = if let StepRole::Mask(mask) = joint { Some(mask.column) } else { None };
+        // Other columns of pruners or of the method have no derivative on the device.
+        let is_known = self.cloud.extra.iter().map(|column| &*column.name).eq(learned);
+        if is_known { joint } else { StepRole::Unknown }
+    }
+
+    /// Returns whether algorithm 1 changes the cloud after a step.
+    fn edits(&self, context: &StepContext) -> bool {
+        let (settings, step) = (&self.plan.training, context.step);
+        let is_densified = densify::is_due(&settings.densify, step) || densify::is_reset_due(&settings.densify, step);
+        match context.phase {
+            Phase::Densify => is_densified || step == settings.prune_until,
+            Phase::Prune => context.round > 0 || step == settings.prune_until,
+            Phase::Finetune => false,
+        }
+    }
+
+    /// Returns an error unless losses and parameters are finite.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] with the first loss, or with the first tensor after the last step.
+    fn check_finite(&self, losses: &[[Real; 2]]) -> Result<()> {
+        let steps = self.done + 1..;
+        if let Some((step, _)) = steps.zip(losses).find(|(_, loss)| !loss.iter().all(|value| value.is_finite())) {
+            return Err(Error::NonFinite { tensor: "the loss".into(), step });
+        }
+        let step = self.done + losses.len() as u64;
+        let mut columns = self.cloud.columns();
+        if let Some((name, ..)) = columns.find(|(_, _, values)| !values.iter().all(|value| value.is_finite())) {
+            return Err(Error::NonFinite { tensor: format!("`{name}`"), step });
+        }
+        let is_finite = self.weights.iter().all(|weight| weight.is_finite());
+        if is_finite { Ok(()) } else { Err(Error::NonFinite { tensor: "the network".into(), step }) }
+    }
+}
