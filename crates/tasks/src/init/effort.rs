@@ -92,7 +92,11 @@ impl Sizing {
     fn small(survey: &DataSurvey, effort: Effort) -> Self {
         let (data, positions) = (&survey.data, survey.known_positions());
         let is_power = data.task().is_scalar;
-        let (steps, most) = if is_power { ((4 * positions).clamp(400, 1_200), 32) } else { (600, 16) };
+        let (steps, most) = if is_power {
+            ((4 * positions).clamp(400, 1_200), 32)
+        } else {
+            ((5 * positions / 2).clamp(600, 2_000), 16)
+        };
         let batch = survey.batch_size(most);
         // Two of eight models leave out each of the four parts, so that the share of a mean is chosen. A step at many receivers
         // takes about as long as two steps at few receivers.
