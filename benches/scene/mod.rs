@@ -40,7 +40,7 @@ pub(crate) fn seeded_cloud(n: usize) -> GaussianCloud {
         // One metre across the line of sight is 1/(ρ) radians of azimuth and 1/r of elevation: ρ is the smaller.
         let distance = local.truncate().length();
         let sigma = radius / 3.0 / pwrfgs::core::consts::DEG * distance;
-        cloud.means.push((RECEIVER.origin() + world_from_receiver * local).to_array());
+        cloud.means.push((RECEIVER.position_vec() + world_from_receiver * local).to_array());
         cloud.log_scales.push([sigma.ln(); 3]);
         cloud.quats.push([(); 4].map(|()| normal()));
         cloud.opacity_logits.push(pwrfgs::core::logit(opacity));

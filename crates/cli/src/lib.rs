@@ -8,6 +8,7 @@
 mod commands;
 mod interrupt;
 mod output;
+mod program;
 mod progress;
 mod reference;
 
@@ -77,7 +78,7 @@ pub fn run(arguments: &[OsString]) -> u8 {
         output::print_error(&error);
         return INVALID;
     }
-    output::set_program_path(arguments.first());
+    program::set_path(arguments.first());
     interrupt::survive_file_limit();
     let arguments = Arguments::parse_from(arguments);
     let (threads, chosen, verbosity) = (arguments.threads, arguments.device, arguments.verbosity());

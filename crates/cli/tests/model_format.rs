@@ -85,7 +85,7 @@ fn cloud() -> GaussianCloud {
         assert_eq!(values.len(), 60 * width);
         values.iter_mut().for_each(|v| *v = centre + size * rng::normal(&mut random));
     }
-    let (origin, rotation, near) = (POSE.origin(), POSE.world_from_receiver(), Vec3::new(0.05, 0.02, 0.1));
+    let (origin, rotation, near) = (POSE.position_vec(), POSE.world_from_receiver(), Vec3::new(0.05, 0.02, 0.1));
     // The second is too near for `WrfgsCompat`, whose centre is at -R·position.
     let special = [origin + near, near - rotation * origin, origin + rotation * Vec3::new(0.0, 0.0, 4.0)];
     cloud.means[..3].copy_from_slice(&special.map(|x| x.to_array()));
@@ -122,7 +122,7 @@ fn model(
 /// Wide Gaussians that are equally far from the receiver but for the rounding of their means.
 fn tied() -> Model {
     let mut model = model(CASES[0]);
-    let centre = POSE.origin();
+    let centre = POSE.position_vec();
     for (mean, scales) in model.cloud.means.iter_mut().zip(&mut model.cloud.log_scales) {
         *mean = (centre + (Vec3::from_array(*mean) - centre).normalize() * 5.0).to_array();
         *scales = scales.map(|s| s + 1.5);

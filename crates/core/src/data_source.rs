@@ -37,7 +37,7 @@ pub trait DataSource: crate::plugin::PluginObject {
         None
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
@@ -91,7 +91,7 @@ pub trait Split: crate::plugin::PluginObject {
         Ok(())
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
@@ -155,7 +155,7 @@ pub trait Baseline: crate::plugin::PluginObject {
         Ok(())
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

@@ -426,7 +426,7 @@ fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Sce
     }
     let transmitter = transmitter.map(|position| origin.local_pose(position.into()).position);
     let points: Vec<[Real; 3]> = points.into_iter().map(|point| origin.local(point)).collect();
-    let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).origin().to_array());
+    let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).position_vec().to_array());
     let occupied = positions().map(|position| origin.local(position)).chain(points.iter().copied());
     let bounds = bounding_box(occupied.chain(fixed));
     Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None, floors: BTreeMap::new() }

@@ -45,7 +45,7 @@ pub trait Deformation: crate::plugin::PluginObject {
     /// Initialises the parameters that depend on the conditions of the training set, before the first step.
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {}
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

@@ -92,7 +92,7 @@ pub trait Initializer: crate::plugin::PluginObject {
         Demand { field: "initializer", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

@@ -46,7 +46,7 @@ pub trait Metric: crate::plugin::PluginObject {
         Ok(Vec::new())
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

@@ -57,7 +57,7 @@ pub trait Projector: crate::plugin::PluginObject {
         d: &Splats,
     ) -> Primitives;
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
@@ -126,7 +126,7 @@ pub trait Rasterizer: crate::plugin::PluginObject {
         false
     }
 
-    /// Rejects invalid settings when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read; the error says what is wrong and what to do.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

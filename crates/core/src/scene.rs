@@ -326,7 +326,7 @@ impl Pose {
     }
 
     /// Returns the position as a vector of kernel precision.
-    pub fn origin(&self) -> Vec3 {
+    pub fn position_vec(&self) -> Vec3 {
         let p = self.position.map(|v| v as Real);
         Vec3::from_array(p)
     }

@@ -57,8 +57,8 @@ impl MeasurementSetup {
     /// unknown position.
     pub fn fixed_end(&self, receiver: usize) -> Option<Vec3> {
         match self.moving {
-            End::Transmitter => Some(self.receivers[receiver].pose.origin()),
-            End::Receiver => self.transmitter.map(|position| Pose::from(position).origin()),
+            End::Transmitter => Some(self.receivers[receiver].pose.position_vec()),
+            End::Receiver => self.transmitter.map(|position| Pose::from(position).position_vec()),
         }
     }
 
@@ -117,7 +117,7 @@ impl MeasurementSetup {
             let pose = self.origin.local_pose(query.pose);
             if last != Some(input) {
                 inputs.carriers.extend(carrier);
-                inputs.values.extend_from_slice(query.features.unwrap_or(&pose.origin().to_array()));
+                inputs.values.extend_from_slice(query.features.unwrap_or(&pose.position_vec().to_array()));
             }
             inputs.add_link(self, receiver, pose);
             last = Some(input);

@@ -51,7 +51,7 @@ impl Primitives {
         self.means.is_empty()
     }
 
-    /// Creates N rows of zeros for gradients.
+    /// Creates `n` Gaussians with all values zero.
     pub fn zeros(n: usize) -> Self {
         Self { means: vec![[0.0; 3]; n], scales: vec![[0.0; 3]; n], quats: vec![[0.0; 4]; n], opacities: vec![0.0; n] }
     }

@@ -42,9 +42,7 @@ fn download_advice(plugin: &str) -> &'static str {
         "Channels" => {
             "get the channels of NeWRF: https://github.com/LuHaofan/NeWRF, see docs/data.md#get-measured-data"
         }
-        "Nerf2Csi" => {
-            "simulate the data with `pwrfgs simulate SCENE --layout csi --out DIR`, see docs/simulator.md"
-        }
+        "Nerf2Csi" => "simulate the data with `pwrfgs simulate SCENE --layout csi --out DIR`, see docs/simulator.md",
         _ => "import your spectra with `pwrfgs import`, see docs/data.md#your-own-spectra",
     }
 }

@@ -230,7 +230,7 @@ impl Truth {
         let random = &mut rng::stream(seed, "teacher", 0);
         let mut cloud = GaussianCloud::default();
         let mut waves = Vec::with_capacity(count);
-        let (world_from_receiver, origin) = (receiver.world_from_receiver(), receiver.origin());
+        let (world_from_receiver, origin) = (receiver.world_from_receiver(), receiver.position_vec());
         for _ in 0..count {
             let (azimuth, elevation) = (TAU * rng::uniform(random), uniform_between(random, 10.0, 75.0) / DEG);
             let distance = uniform_between(random, 2.0, 6.0);

@@ -168,7 +168,7 @@ fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let mut ordered = positions.clone();
     ordered.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     let shared: usize = ordered.chunk_by(|a, b| a == b).map(<[_]>::len).filter(|count| *count > 1).sum();
-    let mut text = cloud::extent(positions).map_or_else(String::new, cloud::describe);
+    let mut text = cloud::extent(positions).map_or_else(String::new, cloud::format_extent);
     if shared > 0 {
         _ = write!(text, "; {} at the position of another", grouped(shared as i64));
     }
@@ -210,7 +210,7 @@ fn describe_points(data: &Dataset) -> String {
     let points = &data.scene.points;
     let extent = cloud::extent(points.iter().map(|point| data.scene.origin.world(*point)));
     let count = grouped(points.len() as i64);
-    extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::describe(extent)))
+    extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::format_extent(extent)))
 }
 
 /// Returns name and description of the levels of all links: their median and range.

@@ -109,7 +109,7 @@ impl Record {
     /// Reads the trained model of the run, for observations like those of `data`.
     ///
     /// # Errors
-    /// The model file is damaged, or its observations have another size.
+    /// The model file is missing or damaged, or its observations have another size.
     pub fn model(&self, data: &Dataset) -> Result<Ensemble> {
         let path = self.folder.join(MODEL_FILE);
         let model = file::read_ensemble(&path)?;

@@ -89,14 +89,14 @@ impl RunFolder {
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
-    /// Replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as
+    /// Writes `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`, and
+    /// returns its facts. Then replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as
     /// unfinished, since earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///
     /// # Errors
-    /// A damaged `run.json`; [`Error::Write`], the old file is then unchanged.
+    /// A damaged `run.json`; [`Error::Write`], the file that cannot be written is then unchanged.
     pub(crate) fn begin(&mut self, pipeline: &Pipeline, split: &SplitData, new: Facts) -> Result<Facts> {
         let facts = Facts {
             data: split.data.title.clone(),

@@ -45,9 +45,9 @@ impl Initializer for Grid {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let world_from_receiver = scene.pose().world_from_receiver();
         let (lowest, centre) = match plane.angles {
-            Some(_) => (if plane.has_directions_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().origin()),
-            None if plane.camera.is_some() => (-FRAC_PI_2, scene.pose().origin()),
-            None => (-FRAC_PI_2, -(world_from_receiver * scene.pose().origin())),
+            Some(_) => (if plane.has_directions_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().position_vec()),
+            None if plane.camera.is_some() => (-FRAC_PI_2, scene.pose().position_vec()),
+            None => (-FRAC_PI_2, -(world_from_receiver * scene.pose().position_vec())),
         };
         let centre_along = |direction: [f64; 3]| {
             let direction = Vec3::from_array(direction.map(|v| v as Real));
@@ -128,7 +128,7 @@ mod tests {
         let lowest = make(500, true)
             .means
             .iter()
-            .fold(Real::MAX, |low, m| low.min((Vec3::from_array(*m) - receiver.origin()).dot(boresight)));
+            .fold(Real::MAX, |low, m| low.min((Vec3::from_array(*m) - receiver.position_vec()).dot(boresight)));
         assert!(lowest > 0.05, "{lowest}");
     }
 

@@ -44,7 +44,7 @@ impl Default for Random {
 #[typetag::serde]
 impl Initializer for Random {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
-        let (world_from_receiver, origin) = (scene.pose().world_from_receiver(), scene.pose().origin());
+        let (world_from_receiver, origin) = (scene.pose().world_from_receiver(), scene.pose().position_vec());
         let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
         let ahead = |z: Real| if plane.has_directions_behind() { z } else { z.abs() };
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
@@ -113,7 +113,7 @@ impl Initializer for AroundReceivers {
         let fixed_ends = scene.fixed_ends();
         let mean = |i: usize| {
             if i < near_count {
-                let centre = fixed_ends[i % fixed_ends.len()].origin().to_array();
+                let centre = fixed_ends[i % fixed_ends.len()].position_vec().to_array();
                 return centre.map(|x| x + self.spread_m * rng::normal(rng));
             }
             std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng))
@@ -160,8 +160,8 @@ mod tests {
     fn random_start_with_angles_is_in_front_of_receiver() {
         let (means, receiver) = (means(true), scene().pose());
         let boresight = receiver.world_from_receiver().z_axis;
-        assert!(means.iter().all(|m| (*m - receiver.origin()).dot(boresight) > -1e-4));
-        assert_spread(&means, receiver.origin());
+        assert!(means.iter().all(|m| (*m - receiver.position_vec()).dot(boresight) > -1e-4));
+        assert_spread(&means, receiver.position_vec());
     }
 
     #[test]
@@ -190,7 +190,8 @@ mod tests {
         let cloud = settings.initialize(&site, &plane(false), &mut stream(0, "init", 0)).unwrap();
         assert_eq!((cloud.len(), settings.count()), (400, Some(400)));
         for receiver in &site.receivers {
-            let close = cloud.means.iter().filter(|m| (Vec3::from_array(**m) - receiver.pose.origin()).length() < 8.0);
+            let close =
+                cloud.means.iter().filter(|m| (Vec3::from_array(**m) - receiver.pose.position_vec()).length() < 8.0);
             assert!(close.count() >= 95, "{}", receiver.name);
         }
         let (low, high) = site.bounds;

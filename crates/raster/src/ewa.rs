@@ -40,7 +40,7 @@ pub trait CameraModel: Sync {
     /// Returns the transformation from world coordinates to those of the model: the receiver frame, from its pose.
     fn view(&self, pose: &Pose) -> ViewTransform {
         let rotation = pose.world_from_receiver().transpose();
-        ViewTransform { rotation, offset: -(rotation * pose.origin()) }
+        ViewTransform { rotation, offset: -(rotation * pose.position_vec()) }
     }
 
     /// Returns the depth of a Gaussian with this mean, metres: the distance from the receiver. Computed in double

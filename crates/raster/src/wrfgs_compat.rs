@@ -69,7 +69,7 @@ impl FullSphere {
 
 impl CameraModel for FullSphere {
     fn view(&self, pose: &Pose) -> ViewTransform {
-        ViewTransform { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
+        ViewTransform { rotation: pose.world_from_receiver().transpose(), offset: pose.position_vec() }
     }
 
     /// Returns the distance from −R·r, where v is 0.

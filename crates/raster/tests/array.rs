@@ -216,7 +216,8 @@ fn array_image_is_invariant_and_equivariant_under_rotation() {
         let m = Mat3::from_cols_array(&m);
         let mut turned = p.clone();
         for i in 0..n {
-            turned.means[i] = (m * (Vec3::from_array(p.means[i]) - POSE.origin()) + POSE.origin()).to_array();
+            turned.means[i] =
+                (m * (Vec3::from_array(p.means[i]) - POSE.position_vec()) + POSE.position_vec()).to_array();
             let [w, x, y, z] = p.quats[i].map(|v| v as f64);
             let r = q * glam::DQuat::from_xyzw(x, y, z, w);
             turned.quats[i] = [r.w, r.x, r.y, r.z].map(|v| v as Real);

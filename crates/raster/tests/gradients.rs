@@ -116,7 +116,7 @@ fn custom_camera_model_projects() {
     let shown = project(disc, &scene, &POSE, plane);
     assert!(shown.radii.iter().all(|r| *r > 0.0), "all are in front of the receiver");
     assert!(shown.depths.iter().all(|d| (1.5..5.6).contains(d)), "distances from the receiver, by its pose");
-    scene.means[3] = POSE.origin().to_array();
+    scene.means[3] = POSE.position_vec().to_array();
     let without = project(disc, &scene, &POSE, plane);
     assert_eq!(visible_centres(disc, &scene.means, &POSE).iter().filter(|s| **s).count(), N - 1, "no pixel, not seen");
     assert_eq!((without.radii[3], without.means2d[4]), (0.0, shown.means2d[4]));

@@ -24,7 +24,7 @@ fn rotated_scene_gives_rotated_image_across_seam() {
         let mut turned = p.clone();
         let q = glam_quat(&about);
         for i in 0..n {
-            let v = about * (Vec3::from_array(p.means[i]) - POSE.origin()) + POSE.origin();
+            let v = about * (Vec3::from_array(p.means[i]) - POSE.position_vec()) + POSE.position_vec();
             turned.means[i] = v.to_array();
             turned.quats[i] = multiply(q, p.quats[i]);
         }

@@ -172,3 +172,8 @@ impl Element {
         (amplitude, field)
     }
 }
+
+/// Returns the mean of |h|² over antennas and subcarriers; 0 for an empty channel.
+pub(crate) fn mean_power(channel: &[Complex]) -> f64 {
+    channel.iter().map(Complex::norm_sqr).sum::<f64>() / channel.len().max(1) as f64
+}

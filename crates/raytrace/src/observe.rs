@@ -4,6 +4,7 @@
 mod tests;
 
 use crate::Complex;
+use crate::array::mean_power;
 use crate::path::PropagationPath;
 use crate::scene::{Noise, SceneReceiver};
 use crate::spectrum::Spectrum;
@@ -145,9 +146,4 @@ pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usi
         let mut normal = || deviation * rng::normal(&mut random) as f64;
         channel.iter_mut().for_each(|h| *h += Complex::new(normal(), normal()));
     }
-}
-
-/// Returns the mean of |h|²; 0 for an empty channel.
-pub(crate) fn mean_power(channel: &[Complex]) -> f64 {
-    channel.iter().map(Complex::norm_sqr).sum::<f64>() / channel.len().max(1) as f64
 }

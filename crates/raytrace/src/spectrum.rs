@@ -4,8 +4,7 @@
 mod tests;
 
 use crate::Complex;
-use crate::array::Array;
-use crate::observe::mean_power;
+use crate::array::{Array, mean_power};
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use pwrfgs_core::AngleAxis;

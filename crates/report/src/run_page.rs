@@ -103,7 +103,7 @@ fn task_words(run: &LoadedRun<'_>) -> Value {
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
-/// Returns the pipeline text; for an ensemble, the one that scores it.
+/// Returns the pipeline of the run, below a note if separate runs are joined to an ensemble, since each has its own.
 fn pipeline_text(run: &LoadedRun<'_>) -> Result<String> {
     let is_joined = run.record.pipeline.members == 1 && run.model.members().len() > 1;
     let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";

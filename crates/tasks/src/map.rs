@@ -8,6 +8,7 @@ use clap::Args;
 use layers::select_quantities;
 pub use layers::{MapLayer, MapQuantity, MapRequest};
 use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::messages::join_names;
 use pwrfgs_core::statistics::sorted;
 use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
@@ -91,6 +92,7 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     let setup = &ensemble.members()[0].stages.setup;
     let quantities = select_quantities(setup, &settings.of)?;
     let mapped = select_receivers(model.receivers(), &settings.receiver)?;
+    warn_of_estimated(model.receivers(), &mapped, observer);
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
     let bounds = bounds.map(|bounds| bounds.in_metres(setup.geodetic.filter(|_| names == ["x", "y"])));
@@ -103,6 +105,21 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     layers.extend(layer);
     let receivers = model.receivers().to_vec();
     Ok(RadioMap { grid, layers, training, receivers, poses, mapped, geodetic: setup.geodetic })
+}
+
+/// Maximum number of names in a warning.
+const LISTED: usize = 8;
+
+/// Warns of powers near mapped receivers whose positions are estimated.
+fn warn_of_estimated(receivers: &[Receiver], mapped: &[usize], observer: &mut dyn Observer) {
+    let estimated = mapped.iter().map(|&r| &receivers[r]).filter(|receiver| receiver.is_estimated);
+    let names: Vec<&str> = estimated.map(|receiver| &*receiver.name).collect();
+    if !names.is_empty() {
+        let names = join_names(names.iter(), LISTED);
+        observer.on_warning(&format!(
+            "the positions of these receivers are estimated, so powers within some metres of them are unreliable: {names}"
+        ));
+    }
 }
 
 /// Returns the grid with these bounds and step, each by default chosen for the model and its `receivers` (metres in the plane).

@@ -35,6 +35,7 @@ fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResu
     let layout = stages.layout();
     let mut weights = layout.init(&mut rng::stream(0, "network", 0));
     if let Some(deformation) = stages.deformation() {
+        // Without training positions (of three coordinates): the given weights replace what would follow from them.
         deformation.start(Conditions::new(3, &[]), &mut weights);
     }
     let Some(given) = given else { return Ok(weights) };

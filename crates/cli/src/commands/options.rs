@@ -25,7 +25,11 @@ pub(crate) struct ChangeOptions {
     )]
     scale: Option<f64>,
     /// Accept a finding on the data, such as lone-value.
-    #[arg(long, value_name = "FINDING", help = "Continue despite a finding on the data, such as lone-value; repeatable")]
+    #[arg(
+        long,
+        value_name = "FINDING",
+        help = "Continue despite a finding on the data, such as lone-value; repeatable"
+    )]
     pub(super) accept: Vec<String>,
 }
 

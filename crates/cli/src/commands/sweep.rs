@@ -6,6 +6,7 @@ use super::options::ChangeOptions;
 use super::run::format_scores;
 use crate::interrupt::stop_flag;
 use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
+use crate::program;
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
@@ -281,7 +282,7 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
     let text = |path: &Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
-    let program = output::program_path()?;
+    let program = program::path()?;
     let current =
         std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.

@@ -81,7 +81,7 @@ fn is_file_at(file: &File, path: &Path) -> io::Result<bool> {
 }
 
 /// Folder that stays the same if another folder or a link takes its name. On Linux, files are accessed through the open
-/// descriptor; other systems have no such path, and files are accessed by name.
+/// descriptor; on other systems, and on Linux without `/proc`, by name.
 #[derive(Debug)]
 pub struct HeldFolder {
     name: PathBuf,
@@ -93,7 +93,7 @@ impl HeldFolder {
     /// Opens the folder at the path `name`.
     ///
     /// # Errors
-    /// On Linux, [`Error::Write`] if there is no such folder, or it cannot be opened; other systems do not check it.
+    /// On Linux, [`Error::Write`] if nothing has this name, or it cannot be opened; other systems do not check it.
     pub fn open(name: &Path) -> Result<Self> {
         let by_name = || Self { name: name.into(), path: name.into(), folder: None };
         #[cfg(target_os = "linux")]

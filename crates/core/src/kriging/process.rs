@@ -73,7 +73,8 @@ pub fn fit_observations(data: &Dataset, links: &[usize], time: bool, check: Stop
     Ok(ProcessFit { trend: ResidualTrend { share: 0.0, path_loss: None }, variance, correlation })
 }
 
-/// Fits Kriging to the known `links` of received powers: one fit per receiver, with a common correlation.
+/// Fits Kriging to the known `links` of received powers: one fit per receiver, with a common correlation and variance. A
+/// receiver without links has the path loss of all.
 ///
 /// # Errors
 /// An error of `check`.

@@ -51,7 +51,7 @@ fn teacher_gaussians_are_within_stated_distance_and_elevation() {
         assert_eq!(cloud.len(), 50);
         let receiver_from_world = receiver.world_from_receiver().transpose();
         for mean in &cloud.means {
-            let seen = receiver_from_world * (pwrfgs_core::Vec3::from_array(*mean) - receiver.origin());
+            let seen = receiver_from_world * (pwrfgs_core::Vec3::from_array(*mean) - receiver.position_vec());
             let elevation = (seen.z / seen.length()).asin().to_degrees();
             assert!((2.0..6.001).contains(&seen.length()) && (9.99..75.01).contains(&elevation), "{seen} {elevation}");
         }

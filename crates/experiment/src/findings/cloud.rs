@@ -32,7 +32,7 @@ pub(crate) fn extent(points: impl IntoIterator<Item = [f64; 3]>) -> Option<Exten
 }
 
 /// Formats an extent: `x 0.10 to 4.90, y 0.00 to 5.00, z 0.00 to 2.98 m`.
-pub(crate) fn describe([low, high]: Extent) -> String {
+pub(crate) fn format_extent([low, high]: Extent) -> String {
     // Adding 0 turns -0 into 0.
     let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], low[k] + 0.0, high[k] + 0.0);
     format!("{} m", [0, 1, 2].map(axis).join(", "))
@@ -75,7 +75,7 @@ pub(super) fn check_cloud(data: &Dataset) -> Option<Finding> {
     };
     let count = recorded.unwrap_or(transmitters.len());
     let subject = if data.scene.moving.is_receiver() { "receiver" } else { "transmitters" };
-    let (cloud, of_transmitters) = (describe(cloud), describe(of_transmitters));
+    let (cloud, of_transmitters) = (format_extent(cloud), format_extent(of_transmitters));
     let problem = format!("cloud and {subject} differ in unit or frame: cloud {cloud}; {subject} {of_transmitters}");
     Some(Finding::new("point-cloud", count, problem, mend))
 }

@@ -72,6 +72,7 @@ fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
         let step = middle(*k);
         let is_counted = steps[*k].iter().all(|value| *value == 1.0) && is_whole(*k);
         let is_even = step > 0.0 && steps[*k].iter().all(|value| (value - step).abs() <= UNEVEN * step);
+        // Steps of exactly 1 are evidence enough beside a coordinate that varies: metres have fractions.
         let is_independent = |other: usize| {
             is_to_and_fro(&steps[other], step) || is_counted && !is_whole(other) && deviation(&steps[other]) > MOVED_M
         };

@@ -122,8 +122,8 @@ impl PropagationLaw {
     }
 }
 
-/// Returns the received sum over the samples of a ray, given raw amplitudes and phases `[n]` and the factors of the path;
-/// `phase_offset` is subtracted from the phases, radians.
+/// Returns the received sum over the samples of a ray, given raw amplitudes and phases `[n]` and the factors of the path.
+/// `phase_offset` (radians) is subtracted from each phase after its conversion from the raw value.
 pub(crate) fn ray_sum([raw, raw_phase]: [&[Real]; 2], factors: &[[Real; 2]], phase_offset: Real) -> [Real; 2] {
     let mut total = [0.0; 2];
     for ((raw, raw_phase), c) in raw.iter().zip(raw_phase).zip(factors) {

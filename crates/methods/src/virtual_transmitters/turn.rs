@@ -120,6 +120,7 @@ pub(crate) fn mirror_rotations(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
             antennas.iter().map(|a| rotate_vector(&rotation_matrix(q), *a)).collect()
         };
         let antennas_of_q = positions(q);
+        // Rounding moves antennas by far less than a millionth of the array; a lone antenna at the centre has no extent.
         let reach = antennas.as_flattened().iter().fold(1e-9_f64, |r, x| r.max(x.abs()));
         let same = |other: &[f64; 4]| {
             let others = positions(*other);

@@ -19,7 +19,7 @@ pub(crate) fn primitives(n: usize, seed: u64) -> Primitives {
         let el = 2.0 + 86.5 * rng::uniform(&mut random);
         let d = Mercator::default().plane(360, 90).direction(az, el).unwrap();
         let distance = 1.5 + 4.0 * rng::uniform(&mut random);
-        p.means[i] = (r * (Vec3::from_array(d) * distance) + POSE.origin()).to_array();
+        p.means[i] = (r * (Vec3::from_array(d) * distance) + POSE.position_vec()).to_array();
         p.scales[i] = std::array::from_fn(|_| 0.02 + 0.35 * rng::uniform(&mut random).powi(2));
         let q: [Real; 4] = std::array::from_fn(|_| rng::normal(&mut random));
         let norm = q.iter().map(|v| v * v).sum::<Real>().sqrt();

@@ -82,12 +82,12 @@ impl OutlineBuilder for Pen {
 /// number; longer words are cut.
 pub fn wrap_text(text: &str, width: f64) -> Vec<String> {
     let lines = break_after(text, ", ", width);
-    let parts = |line: &String| keep_numbers(break_after(line, " ", width), width);
+    let parts = |line: &String| join_numbers_to_words(break_after(line, " ", width), width);
     lines.iter().flat_map(parts).map(|line| truncate_text(&line, width)).collect()
 }
 
 /// Moves the last word of a line to the next line if that begins with its number, and both fit.
-fn keep_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
+fn join_numbers_to_words(mut lines: Vec<String>, width: f64) -> Vec<String> {
     for k in 1..lines.len() {
         let is_number = lines[k].starts_with(|c: char| c.is_ascii_digit() || "=-−+.".contains(c));
         let Some((start, name)) = lines[k - 1].rsplit_once(' ').filter(|_| is_number) else { continue };

@@ -250,8 +250,9 @@ impl Ruler {
         self.share(self.axis.first + self.axis.step * pixel)
     }
 
-    /// Returns the multiples of `step` on the axis, and up to 2 % of its length beyond, since its ends lie half a pixel off round
-    /// values. The step becomes finer on an axis shorter than 1.5 steps, and coarser on one longer than 10.
+    /// Returns the multiples of `step` on the axis. Also returns those up to 2 % of its length beyond, since its ends lie half a
+    /// pixel off round values. The step becomes finer on an axis shorter than 1.5 steps, by thirds before halves so that degrees
+    /// stay round (90, 30, 10, 5), and coarser on one longer than 10.
     fn multiples(&self, mut step: f64) -> Vec<f64> {
         let span = self.high - self.low;
         while span / step < 1.5 {

@@ -96,8 +96,9 @@ pub struct MapRequest<'a> {
 }
 
 impl MapRequest<'_> {
-    /// Computes all arrays of the map from the predictions of `predict_many`: those of each receiver, then the strongest power;
-    /// `progress` receives the number of finished positions.
+    /// Computes all arrays of the map from the predictions of `predict_many`, one image per query in their order: those of each
+    /// receiver, then, for powers at several receivers, the strongest power; `progress` receives the number of finished
+    /// positions.
     pub fn layers(
         &self,
         predict_many: &(dyn Fn(&[Query<'_>]) -> Vec<Image> + Sync),
