@@ -111,6 +111,10 @@ def test_own_model_ends_in_report_and_comparison(run, model, cli, tmp_path):
     kriged = SMALL.replace("Random(test: 0.2)", "Random(test: 0.2), residuals: Kriged()")
     fitted = [pwrfgs.evaluate(model, kriged, out=tmp_path / "kriged", progress=False) for _ in range(2)]
     assert fitted[0].facts == fitted[1].facts
+    with_residuals = pwrfgs.Model.load(tmp_path / "kriged/model.safetensors")
+    pwrfgs.evaluate(with_residuals, SMALL, out=tmp_path / "whole", progress=False)
+    with pytest.raises(pwrfgs.InputError, match="holds another run"):
+        pwrfgs.evaluate(model, SMALL, out=tmp_path / "whole", progress=False)
     other = pwrfgs.Model.from_arrays(**waves(), pose=pwrfgs.Pose(), **SIZE)
     with pytest.raises(pwrfgs.InputError, match="holds another run"):
         pwrfgs.evaluate(other, SMALL, out=tmp_path / "own", progress=False)

@@ -115,11 +115,18 @@ mod with_gpu {
         }
         let folder = tempfile::tempdir().unwrap();
         let here = folder.path();
-        write(&here.join("p.ron"), EDITS);
-        succeed(here, &["run", "p.ron", "--out", "cpu", "-q"]);
-        let output = run(here, &["run", "p.ron", "--out", "gpu", "-q"]);
-        assert!(output.status.success(), "{}", stderr(&output));
-        compare_curves(here, "cpu", "gpu");
+        // Without masks, all steps keep the parameters on the GPU.
+        let bare =
+            EDITS.replace("LearnableMask(lambda: 0.1, learning_rate: 0.6), ", "").replace("target_count: 70, ", "");
+        let bare = bare.replace("gradient_threshold: 0,", "gradient_threshold: 0.00002,");
+        for (name, text) in [("masks", EDITS), ("bare", &bare)] {
+            write(&here.join("p.ron"), text);
+            let [cpu, gpu] = ["cpu", "gpu"].map(|device| format!("{device}-{name}"));
+            succeed(here, &["run", "p.ron", "--out", &cpu, "-q"]);
+            let output = run(here, &["run", "p.ron", "--out", &gpu, "-q"]);
+            assert!(output.status.success(), "{}", stderr(&output));
+            compare_curves(here, &cpu, &gpu);
+        }
     }
 
     #[test]
@@ -174,7 +181,14 @@ mod with_gpu {
         let (wrfgs, factored) = ("Wrfgs(depth: 2, width: 16, skip: None, gain: 50)", "Factored(depth: 2, width: 16)");
         let network = |name: &str| busy().replace("Mlp(depth: 2, width: 16, skip: None)", name);
         let factored = network(factored).replace("steps: 60", "optimizer: (quats: Constant(0)), steps: 60");
-        let cases = [("Mlp", busy()), ("Wrfgs", network(wrfgs)), ("Factored", factored), ("Nerf2", NERF2.to_owned())];
+        let bare = busy().replace("LearnableMask(lambda: 0.5, learning_rate: 0.3), ", "");
+        let cases = [
+            ("Mlp", busy()),
+            ("Mlp-bare", bare),
+            ("Wrfgs", network(wrfgs)),
+            ("Factored", factored),
+            ("Nerf2", NERF2.to_owned()),
+        ];
         for (network, text) in cases {
             let [cpu, gpu, killed] = ["cpu", "gpu", "killed"].map(|name| format!("{name}-{network}"));
             write(&here.join("p.ron"), text);
@@ -350,7 +364,7 @@ mod with_gpu {
             .output()
             .unwrap();
         let message = stderr(&output);
-        for words in ["error: --device: a step needs ", " MB of GPU memory, and ", " has 2 MB; use a smaller "] {
+        for words in ["error: --device: a step needs ", " MB of GPU memory, and ", " has 2 MB; use a smaller `width`"] {
             assert!(message.contains(words), "{message}");
         }
         assert_eq!(output.status.code(), Some(2), "{message}");

@@ -1,5 +1,5 @@
 //! `pwrfgs init` for spectra whose lobes move, appear or cross with the transmitter: its pipeline scores above neighbours.
-use crate::common::{refuse, stdout, succeed, write};
+use crate::common::{refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::npy_header;
 use pwrfgs_core::Number;
 use std::path::Path;
@@ -109,6 +109,8 @@ fn efforts_of_small_powers_are_one_eight_and_sixteen_models() {
     assert!(table.contains("share") && !table.contains("member 8"), "{table}");
     // Positions of these receivers are estimated, in each data folder anew.
     succeed(here, &["update", "r", "--data", "walk", "--out", "updated.safetensors"]);
+    let said = stderr(&succeed(here, &["map", "r", "--plane", "z=1", "--step", "2", "--out", "drawn"]));
+    assert!(said.contains("powers within some metres of ap1, ap2 are unreliable"), "{said}");
     refuse(here, &["init", "walk", "--effort", "most", "--out", "no.ron"], 2, &["fast, normal or best"]);
 }
 

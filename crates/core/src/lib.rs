@@ -65,7 +65,7 @@ pub use dataset::{Dataset, Simulation, Unmatched, check_receivers};
 pub use deformation::{
     Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, KEPT_BYTES, LinearPart,
 };
-pub use device_steps::{DeviceStep, DeviceStepper, StepRole, StraightThroughMask, TrainingState};
+pub use device_steps::{DeviceStep, DeviceStepper, TrainingState};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use geodetic::Geodetic;

@@ -3,8 +3,8 @@
 /// Size from which numbers have an exponent: more digits are not measured, and 1e300 has 300.
 const LARGE: f64 = 1e15;
 
-/// Formats four significant digits, but only four decimals below 0.1, where fewer digits remain. Integers from 10 to 1e15 are
-/// in full; sizes below 1e-4 and from 1e15 have an exponent and three digits. NaN is `n/a`, infinity `∞`.
+/// Formats four significant digits, but only four decimals below 0.1, and whole numbers from 1,000. Integers from 10 to 1e15
+/// are in full; sizes below 1e-4 and from 1e15 have an exponent and three digits. NaN is `n/a`, infinity `∞`.
 pub fn number(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {

@@ -35,7 +35,7 @@ pub struct LoneValue {
 /// Finds values of `powers` in dBm that are probably codes. NaN and infinities are ignored.
 ///
 /// - Three or more equal powers at either end, more than 20 dB from the next value.
-/// - Powers above 30 dBm or below -150 dBm, unless the median of the others is outside too.
+/// - Powers above 30 dBm or below -150 dBm, unless the median of all powers that the first rule leaves is outside too.
 /// - The lowest of more than two values, if at least ten powers, more than a fifth of all and twice as many as the next
 ///   value have it.
 ///

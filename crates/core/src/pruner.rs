@@ -1,7 +1,7 @@
 //! `Pruner`: selection of the Gaussians to keep.
 
 use crate::{
-    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Plugin, Real, StepContext, StepRole, plugin_kind,
+    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Plugin, Real, StepContext, plugin_kind,
     tape::{TraceScalar, TracedCloud},
 };
 
@@ -38,10 +38,10 @@ pub trait Pruner: crate::plugin::PluginObject {
         None
     }
 
-    /// Returns the effect of [`Pruner::gate`], [`Pruner::penalty`] and [`Pruner::update`] in a step as data, for steps on a
-    /// [device that keeps the parameters](crate::DeviceStepper). By default it is unknown, and each step calls these functions.
-    fn step_role(&self, context: &StepContext) -> StepRole {
-        StepRole::Unknown
+    /// Returns whether it acts between prune steps: by a gate, a penalty or an update. Only steps in which no pruner acts run on a
+    /// [device that keeps the parameters](crate::DeviceStepper).
+    fn acts_between(&self) -> bool {
+        true
     }
 
     /// Updates requested columns that are not learned (moving averages, dual variables), once after each step. A

@@ -90,8 +90,8 @@ impl RunFolder {
     }
 
     /// Writes `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`, and
-    /// returns its facts. Then replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as
-    /// unfinished, since earlier checksums and baselines may become invalid.
+    /// returns its facts. Then replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on
+    /// the run counts as unfinished, since earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///

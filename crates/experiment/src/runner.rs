@@ -73,7 +73,7 @@ pub fn score_model(
     let path = folder.file(MODEL_FILE);
     if folder.is_new() {
         folder.settle(file::write_ensemble(&path, model))?;
-    } else if !folder.settle(holds_model(&path, model))? {
+    } else if !folder.settle(holds_model(&path, model, resolved.residuals.is_some()))? {
         let problem = "holds another run; choose another folder or remove it";
         return Err(Error::input(out, problem));
     }
@@ -81,12 +81,14 @@ pub fn score_model(
     run(pipeline, base, out, session)
 }
 
-/// Returns whether the file at `path` holds `model`, with or without residuals that an earlier call has fitted to it.
-fn holds_model(path: &Path, model: &Ensemble) -> Result<bool> {
+/// Returns whether the file at `path` holds `model`, or with `fits_residuals` that model with residuals of an earlier call.
+fn holds_model(path: &Path, model: &Ensemble, fits_residuals: bool) -> Result<bool> {
     let Some(bytes) = files::if_found(path, files::read(path))? else { return Ok(false) };
     let unfitted_bytes = |ensemble: Ensemble| file::ensemble_to_bytes(&ensemble.with_residuals(None));
-    let is_fitted = |stored| model.residuals().is_none() && unfitted_bytes(stored) == unfitted_bytes(model.clone());
-    Ok(bytes == file::ensemble_to_bytes(model) || file::from_bytes(&bytes).is_ok_and(is_fitted))
+    let may_be_fitted = fits_residuals && model.residuals().is_none();
+    let is_fitted = |stored| unfitted_bytes(stored) == unfitted_bytes(model.clone());
+    let is_same = bytes == file::ensemble_to_bytes(model);
+    Ok(is_same || may_be_fitted && file::from_bytes(&bytes).is_ok_and(is_fitted))
 }
 
 /// Runs or resumes the pipeline; `None` if another process has claimed it meanwhile, and the state must be read again.

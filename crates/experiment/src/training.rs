@@ -192,7 +192,7 @@ impl Training<'_, '_, '_> {
         let reports = self.trainer.steps(most).inspect_err(|_| self.report_last_checkpoint())?;
         let seconds = begun.elapsed().as_secs_f64();
         let done = reports.len() as u64; // 1 on the CPU
-        self.at_once = if seconds < SECONDS_AT_ONCE { 2 * done } else { done.div_ceil(2) };
+        self.at_once = if seconds < SECONDS_AT_ONCE { self.at_once.max(2 * done) } else { done.div_ceil(2) };
         reports.iter().try_for_each(|report| self.record(report, seconds / reports.len() as f64))
     }
 

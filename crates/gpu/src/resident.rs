@@ -10,7 +10,7 @@
 //! ```
 
 use crate::adapters::Gpu;
-use crate::draw::{CLOUD, D_ROWS, D_SPLATS, SIGNALS, TERMS};
+use crate::draw::{CLOUD, D_ROWS, D_SPLATS, SIGNALS, SPLATS, TERMS};
 use crate::passes::groups_of_256;
 use crate::step::{ARGUMENTS, GpuStep};
 use pwrfgs_core::{AdamUpdate, Real, Result};
@@ -28,15 +28,13 @@ const KEYS: usize = 3;
 pub const HEADS: usize = 4;
 /// Their cotangents.
 pub const D_HEADS: usize = 5;
-/// Penalty of the masks per step.
-pub const PENALTIES: usize = 6;
 /// Inputs of the steps that were uploaded together: encoded transmitters, constants of drawings and of losses, and spectra.
-pub const INPUTS: usize = 7;
+pub const INPUTS: usize = 6;
 
 /// Number of outputs of the network: rotation 4, scales 3, signal 2.
 const OUTPUTS: usize = 9;
-/// Values per Gaussian before the masks.
-const FIXED_COLUMNS: usize = 13;
+/// Parameters per Gaussian.
+const COLUMNS: usize = 13;
 /// Number of keys that a workgroup sorts.
 const SORTED: usize = 512;
 /// Invocations per workgroup of the kernels per Gaussian.
@@ -69,8 +67,6 @@ impl Op {
 pub struct Resident {
     /// Number of Gaussians N.
     pub gaussians: usize,
-    /// Number of parameters P: 13 N, and N masks.
-    pub parameters: usize,
     /// Number of channels of a drawing.
     pub channels: usize,
     /// First slot of the drawing.
@@ -80,21 +76,20 @@ pub struct Resident {
 }
 
 impl Resident {
-    /// Returns the sizes of the slots of the state, for the penalties of `steps` steps and so many `inputs`.
-    pub fn sizes(&self, steps: usize, inputs: usize) -> Vec<usize> {
-        let &Self { gaussians: n, parameters, .. } = self;
-        vec![3 * parameters, parameters, 4 * n, 2 * self.keys(), OUTPUTS * n, OUTPUTS * n, steps, inputs]
+    /// Returns the sizes of the slots of the state, for so many `inputs`.
+    pub fn sizes(&self, inputs: usize) -> Vec<usize> {
+        let (n, parameters) = (self.gaussians, self.parameters());
+        vec![3 * parameters, parameters, 4 * n, 2 * self.keys(), OUTPUTS * n, OUTPUTS * n, inputs]
+    }
+
+    /// Returns the number of parameters P.
+    pub fn parameters(&self) -> usize {
+        COLUMNS * self.gaussians
     }
 
     /// Returns the number of keys: a power of two.
     fn keys(&self) -> usize {
         self.gaussians.next_power_of_two().max(SORTED)
-    }
-
-    /// Returns the offset of the masks; no offset without masks.
-    fn masks(&self) -> usize {
-        let offset = FIXED_COLUMNS * self.gaussians;
-        if self.parameters > offset { offset } else { u32::MAX as usize }
     }
 
     /// Returns a slot of the state.
@@ -104,7 +99,7 @@ impl Resident {
 
     /// Records a kernel per Gaussian, with slots A, H, E and C; B are the keys.
     fn per_row(&self, step: &mut GpuStep<'_>, name: &str, [a, h, e, c]: [usize; 4], x: [Real; 3]) {
-        let mut op = Op { n: self.gaussians, a: self.masks(), k: self.keys(), j: self.channels, ..Op::default() };
+        let mut op = Op { n: self.gaussians, k: self.keys(), j: self.channels, ..Op::default() };
         op.x[..3].copy_from_slice(&x);
         let groups = [self.gaussians.div_ceil(LANES), 1, 1];
         step.pass(name, [a, self.slot(KEYS), h, e, c], op.numbers(), groups);
@@ -133,11 +128,11 @@ impl Resident {
         }
     }
 
-    /// Writes the Gaussians to the drawing in depth order; gates are open from this `threshold` of σ(m).
-    pub fn arrange_cloud(&self, step: &mut GpuStep<'_>, threshold: Real) {
+    /// Writes the Gaussians to the drawing in depth order.
+    pub fn arrange_cloud(&self, step: &mut GpuStep<'_>) {
         let state = self.slot(STATE);
         let slots = [state, state, state, self.drawing + CLOUD];
-        self.per_row(step, "arrange_cloud", slots, [threshold, 0.0, 0.0]);
+        self.per_row(step, "arrange_cloud", slots, [0.0; 3]);
     }
 
     /// Writes the outputs of the network to the drawing in depth order.
@@ -150,22 +145,12 @@ impl Resident {
     /// Adds the derivatives of the drawing to those of the Gaussians, sets those of the outputs of the network, and adds to the
     /// statistics, for an image of this `size` and `drawings` of them in the step.
     pub fn scatter(&self, step: &mut GpuStep<'_>, size: (usize, usize), drawings: usize) {
-        let (rows, splats, state) = (self.drawing + D_ROWS, self.drawing + D_SPLATS, self.slot(STATE));
-        self.per_row(step, "scatter_cloud", [rows, splats, state, self.slot(D_STATE)], [0.0; 3]);
+        let (rows, splats) = (self.drawing + D_ROWS, self.drawing + D_SPLATS);
+        self.per_row(step, "scatter_cloud", [rows, splats, rows, self.slot(D_STATE)], [0.0; 3]);
         self.per_row(step, "scatter_terms", [rows, splats, rows, self.slot(D_HEADS)], [0.0; 3]);
         let [width, height, drawings] = [size.0, size.1, drawings].map(|number| number as Real);
         let scales = [0.5 * width, 0.5 * height, drawings];
-        self.per_row(step, "statistics", [rows, splats, rows, self.slot(STATS)], scales);
-    }
-
-    /// Adds the derivative of the penalty `lambda` · mean σ(m), and writes the penalty of the `index`-th step.
-    pub fn penalise(&self, step: &mut GpuStep<'_>, lambda: Real, index: usize) {
-        let (state, n) = (self.slot(STATE), self.gaussians);
-        let mut op = Op { n, a: self.masks(), c: index, ..Op::default() };
-        op.x[0] = lambda / n as Real;
-        let groups = [n.div_ceil(LANES), 1, 1];
-        step.pass("penalise", [state, state, state, state, self.slot(D_STATE)], op.numbers(), groups);
-        step.pass("sum_masks", [state, state, state, state, self.slot(PENALTIES)], op.numbers(), [1, 1, 1]);
+        self.per_row(step, "statistics", [rows, splats, self.drawing + SPLATS, self.slot(STATS)], scales);
     }
 }
 
@@ -192,6 +177,6 @@ impl Gpu {
     /// # Errors
     /// As [`Self::step`].
     pub fn training_step(&self, sizes: &[usize]) -> Result<GpuStep<'_>> {
-        self.step_in(&self.training, sizes, "use a smaller `training.batch`, fewer Gaussians, or the CPU")
+        self.step_in(&self.training, sizes, "use a smaller `width` or `depth`, fewer Gaussians, or the CPU")
     }
 }

@@ -1,6 +1,6 @@
 // Whole training steps whose parameters stay on the GPU. The state [x, m, v] of P parameters has their values, then both moments
 // of Adam. Columns of the Gaussians follow each other: means [n, 3], log scales [n, 3], rotations [n, 4], opacity logits [n],
-// signals [n, 2], then masks [n], if there are any, at offset a. Outputs of the network are [9, n]: rotations 4, scales 3,
+// signals [n, 2]. Outputs of the network are [9, n]: rotations 4, scales 3,
 // signals 2. Rows of drawings are in depth order; the keys are [2, k]: depths, and the index of the Gaussian of each row.
 
 struct Op {
@@ -10,11 +10,10 @@ struct Op {
   x0: f32, x1: f32, x2: f32, x3: f32, x4: f32, x5: f32, x6: f32, x7: f32, x8: f32,
 }
 
-const NONE: u32 = 0xffffffffu;
-const ROW: u32 = 20u;           // as in project.wgsl
+const ROW: u32 = 20u;           // as in project.wgsl, like the next two
+const SPLAT: u32 = 12u;
 const GEOMETRY: u32 = 8u;
-
-fn logistic(x: f32) -> f32 { return 1.0 / (1.0 + exponential(-x)); }
+const ALPHA_MIN: f32 = 0.003921568859368563; // 1/255, as in common.wgsl
 
 struct Wave { sine: f32, cosine: f32 }
 // Sine and cosine of up to about 50,000 rad: the built-in functions may be off by 5e-4. The parts of pi/2 have few bits, so that
@@ -53,7 +52,7 @@ fn encode(@builtin(global_invocation_id) g: vec3u, @builtin(num_workgroups) w: v
 fn depth_keys(@builtin(global_invocation_id) g: vec3u) {
   if (g.x >= s.k) { return; }
   var depth = 3e38;
-  if (g.x < s.n) { depth = distance(vec3f(A[3u * g.x], A[3u * g.x + 1u], A[3u * g.x + 2u]), vec3f(s.x0, s.x1, s.x2)); }
+  if (g.x < s.n) { depth = min(2e38, distance(vec3f(A[3u * g.x], A[3u * g.x + 1u], A[3u * g.x + 2u]), vec3f(s.x0, s.x1, s.x2))); }
   C[g.x] = depth; C[s.k + g.x] = f32(g.x);
 }
 
@@ -92,17 +91,14 @@ fn sort_block(@builtin(local_invocation_index) l: u32, @builtin(workgroup_id) w:
 
 fn gaussian_of(row: u32) -> u32 { return u32(B[s.k + row]); }
 
-// C is the cloud of a drawing [n, 13] from the parameters A; x0 is the threshold of the masks.
+// C is the cloud of a drawing [n, 13] from the parameters A.
 @compute @workgroup_size(64)
 fn arrange_cloud(@builtin(global_invocation_id) g: vec3u) {
   if (g.x >= s.n) { return; }
   let i = gaussian_of(g.x); let o = 13u * g.x;
   for (var c = 0u; c < 3u; c++) { C[o + c] = A[3u * i + c]; C[o + 3u + c] = A[3u * s.n + 3u * i + c]; }
   for (var c = 0u; c < 4u; c++) { C[o + 6u + c] = A[6u * s.n + 4u * i + c]; }
-  C[o + 10u] = A[10u * s.n + i];
-  var gate = 1.0;
-  if (s.a != NONE) { gate = select(0.0, 1.0, logistic(A[s.a + i]) >= s.x0); }
-  C[o + 11u] = gate; C[o + 12u] = 1.0;
+  C[o + 10u] = A[10u * s.n + i]; C[o + 11u] = 1.0; C[o + 12u] = 1.0;
 }
 
 // C are the terms of a drawing [n, 7] from the outputs A.
@@ -121,7 +117,7 @@ fn arrange_signals(@builtin(global_invocation_id) g: vec3u) {
   for (var c = 0u; c < s.j; c++) { C[s.j * g.x + c] = H[11u * s.n + 2u * i + c] + A[(7u + c) * s.n + i]; }
 }
 
-// Adds the derivatives of a drawing, A by rows and H by splats with j signals, to those C by the parameters E.
+// Adds the derivatives of a drawing, A by rows and H by splats with j signals, to those C by the parameters.
 @compute @workgroup_size(64)
 fn scatter_cloud(@builtin(global_invocation_id) g: vec3u) {
   if (g.x >= s.n) { return; }
@@ -130,10 +126,6 @@ fn scatter_cloud(@builtin(global_invocation_id) g: vec3u) {
   for (var c = 0u; c < 4u; c++) { C[6u * s.n + 4u * i + c] += A[o + 6u + c]; }
   C[10u * s.n + i] += A[o + 10u];
   for (var c = 0u; c < s.j; c++) { C[11u * s.n + 2u * i + c] += H[signal + c]; }
-  if (s.a != NONE) {
-    let mask = logistic(E[s.a + i]);
-    C[s.a + i] += A[o + 11u] * mask * (1.0 - mask);
-  }
 }
 
 // C are the cotangents of the outputs [9, n] from the derivatives A by rows and H by splats with j signals.
@@ -149,39 +141,18 @@ fn scatter_terms(@builtin(global_invocation_id) g: vec3u) {
   }
 }
 
-// Adds a drawing to the statistics C [4, n]: renders in which it was visible, 2-D gradient, largest radius, weight. x0 and x1 are
-// half the columns and rows, x2 the number of drawings of a step.
+// Adds a drawing to the statistics C [4, n]: renders in which it was visible, 2-D gradient, largest radius, weight; none for
+// Gaussians whose splats E are too faint to be drawn. x0 and x1 are half the columns and rows, x2 the number of drawings of a
+// step.
 @compute @workgroup_size(64)
 fn statistics(@builtin(global_invocation_id) g: vec3u) {
   if (g.x >= s.n) { return; }
   let i = gaussian_of(g.x); let radius = A[ROW * g.x + 19u]; let o = (GEOMETRY + s.j) * g.x;
-  if (radius <= 0.0) { return; }
+  if (radius <= 0.0 || E[SPLAT * g.x + 5u] < ALPHA_MIN) { return; }
   C[i] += 1.0;
   C[s.n + i] += s.x2 * length(vec2f(H[o] * s.x0, H[o + 1u] * s.x1));
   C[2u * s.n + i] = max(C[2u * s.n + i], radius);
   C[3u * s.n + i] += H[o + 6u];
-}
-
-// Adds the derivative of the penalty x0 Σ σ(m) of the masks A to C.
-@compute @workgroup_size(64)
-fn penalise(@builtin(global_invocation_id) g: vec3u) {
-  if (g.x >= s.n) { return; }
-  let mask = logistic(A[s.a + g.x]);
-  C[s.a + g.x] += s.x0 * mask * (1.0 - mask);
-}
-
-// C[c] = the penalty; one workgroup.
-var<workgroup> partial: array<f32, 256>;
-@compute @workgroup_size(256)
-fn sum_masks(@builtin(local_invocation_index) l: u32) {
-  var sum = 0.0;
-  for (var i = l; i < s.n; i += 256u) { sum += logistic(A[s.a + i]); }
-  partial[l] = sum;
-  workgroupBarrier();
-  if (l > 0u) { return; }
-  sum = 0.0;
-  for (var i = 0u; i < 256u; i++) { sum += partial[i]; }
-  C[s.c] = s.x0 * sum;
 }
 
 // A step of Adam for n parameters from offset c of the state C [3, k], with their derivatives A from offset a. x0 is the rate, x1

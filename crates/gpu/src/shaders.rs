@@ -22,7 +22,7 @@ pub(crate) const DRAWING: [&str; 14] = [
 ];
 
 /// Entry points of [`RESIDENT_SOURCE`].
-pub(crate) const RESIDENT: [&str; 13] = [
+pub(crate) const RESIDENT: [&str; 11] = [
     "encode",
     "depth_keys",
     "sort_pairs",
@@ -33,8 +33,6 @@ pub(crate) const RESIDENT: [&str; 13] = [
     "scatter_cloud",
     "scatter_terms",
     "statistics",
-    "penalise",
-    "sum_masks",
     "adam",
 ];
 

@@ -9,7 +9,7 @@ use crate::settings::{check_rate, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext,
-    StepRole, StraightThroughMask, sigmoid,
+    sigmoid,
     tape::{TraceScalar, TracedCloud, values},
 };
 use serde::{Deserialize, Serialize};
@@ -122,15 +122,6 @@ impl Pruner for LearnableMask {
             let lambda = self.lambda * self.penalty_factor(&values(&masks), context);
             masks.mean::<Rank0, _>() * lambda
         })
-    }
-
-    fn step_role(&self, context: &StepContext) -> StepRole {
-        let &Self { threshold, lambda, .. } = self;
-        match context.target {
-            _ if context.phase == Phase::Finetune => StepRole::Idle,
-            None => StepRole::Mask(StraightThroughMask { column: COLUMN, threshold, lambda }),
-            Some(_) => StepRole::Unknown, // threshold and λ follow the masks
-        }
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {

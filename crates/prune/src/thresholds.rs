@@ -4,8 +4,8 @@
 use crate::rounds::requested_statistic;
 use crate::settings::check_share;
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, StepRole,
-    best, sigmoid,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best,
+    sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -46,8 +46,8 @@ impl Pruner for OpacityThreshold {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
     }
 
-    fn step_role(&self, _: &StepContext) -> StepRole {
-        StepRole::Idle
+    fn acts_between(&self) -> bool {
+        false
     }
 
     fn check(&self) -> Result<(), String> {

@@ -8,7 +8,7 @@ use clap::Args;
 use layers::select_quantities;
 pub use layers::{MapLayer, MapQuantity, MapRequest};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::messages::join_names;
+use pwrfgs_core::messages::{join_names, strip_control};
 use pwrfgs_core::statistics::sorted;
 use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
@@ -113,11 +113,12 @@ const LISTED: usize = 8;
 /// Warns of powers near mapped receivers whose positions are estimated.
 fn warn_of_estimated(receivers: &[Receiver], mapped: &[usize], observer: &mut dyn Observer) {
     let estimated = mapped.iter().map(|&r| &receivers[r]).filter(|receiver| receiver.is_estimated);
-    let names: Vec<&str> = estimated.map(|receiver| &*receiver.name).collect();
+    let names: Vec<String> = estimated.map(|receiver| strip_control(&receiver.name)).collect();
     if !names.is_empty() {
         let names = join_names(names.iter(), LISTED);
         observer.on_warning(&format!(
-            "the positions of these receivers are estimated, so powers within some metres of them are unreliable: {names}"
+            "powers within some metres of {names} are unreliable, since these positions are estimated; import the data with \
+             `--receivers FILE` if they are known"
         ));
     }
 }

@@ -4,14 +4,12 @@
 use crate::densify;
 use crate::settings::Rays;
 use crate::trainer::{StepReport, Trainer};
-use pwrfgs_core::{
-    DeviceStep, Error, Phase, Real, Result, StepContext, StepRole, TrainingState, device, prune_contexts,
-};
+use pwrfgs_core::{DeviceStep, Error, Phase, Real, Result, StepContext, TrainingState, device};
 use std::sync::Arc;
 
 /// Maximum number of steps that run together, and of bytes of their measured spectra.
 const MOST_STEPS: u64 = 100;
-const MOST_BYTES: usize = 64 << 20;
+const MOST_BYTES: usize = 16 << 20;
 
 impl Trainer<'_> {
     /// Runs up to `most` steps, at least one, and returns their reports: one step on the CPU, several where a device keeps the
@@ -31,13 +29,16 @@ impl Trainer<'_> {
     /// unknown to it.
     fn run_on_device(&mut self, most: u64) -> Result<Option<Vec<StepReport>>> {
         let settings = &self.plan.training;
-        let is_known = settings.dropout == 0.0 && settings.rays == Rays::All && self.specs.iter().all(|spec| spec.adam);
+        let is_known = settings.dropout == 0.0
+            && settings.rays == Rays::All
+            && self.objective.as_spectrum_loss(&[]).is_some()
+            && self.cloud.extra.is_empty(); // such as masks: the host leaves out closed Gaussians
         if device::name().is_none() || !is_known || self.cloud.is_empty() {
             return Ok(None);
         }
         let stages = Arc::clone(&self.stages);
         let Some(stepper) = stages.method.device_stepper(&stages.setup) else { return Ok(None) };
-        let planned = self.plan_steps(most.min(MOST_STEPS))?;
+        let planned = self.plan_steps(most.clamp(1, MOST_STEPS))?;
         if planned.is_empty() {
             return Ok(None);
         }
@@ -49,9 +50,9 @@ impl Trainer<'_> {
         let losses = stepper.run(state, &planned)?;
         self.check_finite(&losses)?;
         let (first, count) = (self.done + 1, self.cloud.len());
-        let report = |(step, [loss, penalty]): (u64, [Real; 2])| {
-            let (phase, loss, penalty) = (self.phase(step), loss as f64, penalty as f64);
-            StepReport { step, phase, loss, penalty, gaussians: count, pruned: None }
+        let report = |(step, loss): (u64, Real)| {
+            let (phase, loss) = (self.phase(step), loss as f64);
+            StepReport { step, phase, loss, penalty: 0.0, gaussians: count, pruned: None }
         };
         let mut reports: Vec<StepReport> = (first..).zip(losses).map(report).collect();
         let context = self.context(self.done + planned.len() as u64);
@@ -69,14 +70,12 @@ impl Trainer<'_> {
     /// A spectrum cannot be read.
     fn plan_steps(&mut self, most: u64) -> Result<Vec<DeviceStep>> {
         let (mut planned, mut bytes) = (Vec::new(), 0);
-        let last = self.plan.training.steps.min(self.done + most);
+        let last = self.plan.training.steps.clamp(self.done + 1, self.done + most);
         for step in self.done + 1..=last {
             let context = self.context(step);
-            let mask = match self.role_of_pruners(&context) {
-                StepRole::Idle => None,
-                StepRole::Mask(mask) => Some(mask),
-                StepRole::Unknown => break,
-            };
+            if self.pruners_of(&context).iter().any(|pruner| pruner.acts_between()) {
+                break;
+            }
             self.set_plane(step);
             let batch = self.batches.draw_batch(step, &self.plan, self.data, &self.stages)?;
             let Some(loss) = self.objective.as_spectrum_loss(&batch.truths) else { break };
@@ -85,29 +84,12 @@ impl Trainer<'_> {
             let (columns, weights) = (self.column_updates(step), self.weight_updates(step));
             bytes += size_of_val(&batch.truths[..]);
             let (links, truths) = (batch.inputs, batch.truths);
-            planned.push(DeviceStep { setup, links, truths, ssim, is_squared, mask, columns, weights });
+            planned.push(DeviceStep { setup, links, truths, ssim, is_squared, columns, weights });
             if self.edits(&context) || bytes > MOST_BYTES {
                 break;
             }
         }
         Ok(planned)
-    }
-
-    /// Returns what all pruners together do in a step: at most one mask learns.
-    fn role_of_pruners(&self, context: &StepContext) -> StepRole {
-        let pruners = self.pruners_of(context);
-        let mut joint = StepRole::Idle;
-        for (pruner, context) in pruners.iter().zip(prune_contexts(&pruners, context)) {
-            joint = match (joint, pruner.step_role(&context)) {
-                (joint, StepRole::Idle) => joint,
-                (StepRole::Idle, role) => role,
-                _ => StepRole::Unknown,
-            };
-        }
-        let learned = if let StepRole::Mask(mask) = joint { Some(mask.column) } else { None };
-        // Other columns of pruners or of the method have no derivative on the device.
-        let is_known = self.cloud.extra.iter().map(|column| &*column.name).eq(learned);
-        if is_known { joint } else { StepRole::Unknown }
     }
 
     /// Returns whether algorithm 1 changes the cloud after a step.
@@ -125,9 +107,9 @@ impl Trainer<'_> {
     ///
     /// # Errors
     /// [`Error::NonFinite`] with the first loss, or with the first tensor after the last step.
-    fn check_finite(&self, losses: &[[Real; 2]]) -> Result<()> {
+    fn check_finite(&self, losses: &[Real]) -> Result<()> {
         let steps = self.done + 1..;
-        if let Some((step, _)) = steps.zip(losses).find(|(_, loss)| !loss.iter().all(|value| value.is_finite())) {
+        if let Some((step, _)) = steps.zip(losses).find(|(_, loss)| !loss.is_finite()) {
             return Err(Error::NonFinite { tensor: "the loss".into(), step });
         }
         let step = self.done + losses.len() as u64;

@@ -193,10 +193,10 @@ impl Trainer<'_> {
         let begun = Instant::now();
         let mut seconds = Vec::new();
         while seconds.len() <= TIMED && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
-            let begun = Instant::now();
+            let called = Instant::now();
             // A device that keeps the parameters runs several steps at once.
             let steps = self.steps(if seconds.is_empty() { 1 } else { 10 })?.len();
-            seconds.push(begun.elapsed().as_secs_f64() / steps as f64);
+            seconds.push(called.elapsed().as_secs_f64() / steps as f64);
             if begun.elapsed() > 4 * PATIENCE {
                 break;
             }

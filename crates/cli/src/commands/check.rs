@@ -47,9 +47,9 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command prints the ranges of positions and values; for spectra, also unusual ones and a check of
-the recorded orientation. For each split, it prints the distance from test to training transmitters, the scores of the baselines
-and the noise ceiling. A pipeline sets data, split, baselines, metrics and seed; for a data folder,
-the defaults apply.
+the recorded orientation. For each split, it prints the distance from test to training transmitters,
+the scores of the baselines and the noise ceiling. A pipeline sets data, split, baselines, metrics
+and seed; for a data folder, the defaults apply.
 
 EXAMPLES
   pwrfgs inspect pipelines/quickstart.ron

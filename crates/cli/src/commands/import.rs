@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
 from 0 to 1 (the strongest direction). Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
-float64, stored as float32. Spectra beyond 512 MB are not read into memory.
+float64, stored as float32. Training reads up to 512 MB of spectra into memory.
 For spectra, the command writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed
 split, add train_index.txt and test_index.txt (one id per line, from 1).
 

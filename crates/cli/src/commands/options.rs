@@ -24,7 +24,7 @@ pub(crate) struct ChangeOptions {
                 that masks still close; a warning says if training is too short for that"
     )]
     scale: Option<f64>,
-    /// Accept a finding on the data, such as lone-value.
+    /// Continue despite a finding on the data, such as lone-value.
     #[arg(
         long,
         value_name = "FINDING",

@@ -16,8 +16,9 @@ use std::path::{Path, PathBuf};
 Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
 A finished run deletes its checkpoint (state to resume it); --keep-checkpoint keeps the checkpoint.
 If only baselines or metrics changed, the command scores the trained model without new training.
-A folder of --out with other files is an error and stays unchanged. Paths in a pipeline are relative to its file; paths on
-the command line are relative to the current directory. docs/guide.md describes the run folder.
+A folder of --out with other files is an error and stays unchanged. Paths in a pipeline are relative
+to its file; paths on the command line are relative to the current directory. docs/guide.md
+describes the run folder.
 
 EXAMPLES
   pwrfgs run quickstart

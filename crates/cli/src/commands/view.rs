@@ -38,7 +38,7 @@ EXAMPLES
   pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'
   pwrfgs view runs/s23-best/joined runs/s23-laptop")]
 pub(crate) struct View {
-    /// Run folder, model file or model of the program, such as s23; then, to compare, another one or a baseline, such as Kriging
+    /// Run folder, model file or model of the program (s23); to compare, another one or a baseline (Kriging)
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
     pub(crate) sides: Vec<String>,
     /// Open the page in a browser; its address is visible in the process list

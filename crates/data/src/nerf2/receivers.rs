@@ -75,7 +75,7 @@ impl Gateway {
         };
         if let (None, Some((_, other))) = (requested, others.first()) {
             let problem = format!(
-                "there are more receivers than one, `{name}` and {listed}, and a model has one; name it: \
+                "there are more receivers than one, `{name}` and {listed}, and `Nerf2Spectrum` reads one; name it: \
                  Nerf2Spectrum(gateway: \"{name}\", ..)"
             );
             return Err(yaml_fault(path, other, problem));
@@ -258,7 +258,7 @@ mod tests {
         let two = format!("gateway1: {}\ndataset_name: two\nroof: {}\ncarrier: 9e8\n", pose(1), pose(2));
         assert_eq!(
             read(&two, None).unwrap_err(),
-            "DIR/g.yml:3:7: there are more receivers than one, `gateway1` and `roof`, and a model has one; name it: \
+            "DIR/g.yml:3:7: there are more receivers than one, `gateway1` and `roof`, and `Nerf2Spectrum` reads one; name it: \
              Nerf2Spectrum(gateway: \"gateway1\", ..)"
         );
         assert_eq!((read(&two, Some("gateway1")), read(&two, Some("roof"))), (Ok(1.0), Ok(2.0)));

@@ -5,7 +5,7 @@ use super::gpu::view_constants;
 use super::{ReceiverView, Splatting};
 use pwrfgs_core::{DeviceStep, DeviceStepper, GaussianCloud, MeasurementSetup, Real, Result, TrainingState};
 use pwrfgs_gpu::draw::{Drawing, GpuReadout, LISTS, LOSS, LOSS_LEN, LOSSES, TRUTHS, VIEW, VIEW_LEN};
-use pwrfgs_gpu::resident::{D_HEADS, D_STATE, HEADS, INPUTS, PENALTIES, Resident, STATE, STATS};
+use pwrfgs_gpu::resident::{D_HEADS, D_STATE, HEADS, INPUTS, Resident, STATE, STATS};
 use pwrfgs_gpu::{Gpu, GpuStep};
 use pwrfgs_networks::{Mlp, ResidentMlp, ResidentSlots};
 use pwrfgs_raster::Mercator;
@@ -60,7 +60,7 @@ impl Splatting {
 }
 
 impl DeviceStepper for ResidentSplatting<'_> {
-    fn run(&self, state: TrainingState<'_>, steps: &[DeviceStep]) -> Result<Vec<[Real; 2]>> {
+    fn run(&self, state: TrainingState<'_>, steps: &[DeviceStep]) -> Result<Vec<Real>> {
         let plan = self.plan(state.cloud, steps);
         let mut entries = self.gpu.resident_list_entries(plan.resident.drawing);
         loop {
@@ -68,35 +68,32 @@ impl DeviceStepper for ResidentSplatting<'_> {
             upload_state(&mut step, &plan.resident, &state);
             step.upload(plan.resident.slot(INPUTS), 0, &plan.inputs);
             (0..steps.len()).for_each(|index| self.record(&mut step, &plan, index));
-            read_state(&mut step, &plan.resident, &state, steps.len());
+            read_state(&mut step, &plan.resident, &state);
             let mut results = step.finish()?;
             let after = results.split_off(results.len() - STATE_READS);
-            let mut needed = 0;
-            for of_link in results.chunks_exact(LINK_READS) {
-                needed = needed.max(Drawing::entry_count(&of_link[0])?);
-            }
-            if needed <= entries {
+            // Results after lists that did not fit are not valid.
+            let overflow = results.chunks_exact(LINK_READS).find(|of_link| of_link[0][0] > entries as Real);
+            let Some(of_link) = overflow else {
                 write_state(&after, state);
-                return Ok(plan.losses(&results, &after[STATE_READS - 1]));
-            }
-            entries = needed; // the lists did not fit, so results are not valid
+                return Ok(plan.losses(&results));
+            };
+            entries = Drawing::entry_count(&of_link[0])?;
         }
     }
 }
 
 /// Number of results per link: length of the tile lists, and losses.
 const LINK_READS: usize = 2;
-/// Number of results at the end: values and moments of the Gaussians, then of the weights, statistics, and penalties.
-const STATE_READS: usize = 4;
+/// Number of results at the end: values and moments of the Gaussians, then of the weights, and statistics.
+const STATE_READS: usize = 3;
 
 impl ResidentSplatting<'_> {
     /// Lays out the buffers of `steps`, and collects their inputs.
     fn plan<'a>(&self, cloud: &GaussianCloud, steps: &'a [DeviceStep]) -> Plan<'a> {
         let gaussians = cloud.len();
         let drawing = ResidentMlp::slot_count(self.mlp);
-        let parameters = cloud.columns().map(|(_, _, values)| values.len()).sum();
         let state = drawing + LOSSES + 1;
-        let resident = Resident { gaussians, parameters, channels: self.channels, drawing, state };
+        let resident = Resident { gaussians, channels: self.channels, drawing, state };
         let slots = ResidentSlots {
             means: resident.slot(STATE),
             heads: resident.slot(HEADS),
@@ -132,7 +129,7 @@ impl ResidentSplatting<'_> {
             drawing.iter_mut().zip(of_step).for_each(|(most, size)| *most = size.max(*most));
         }
         sizes.extend(drawing);
-        sizes.extend(plan.resident.sizes(plan.steps.len(), plan.inputs.len()));
+        sizes.extend(plan.resident.sizes(plan.inputs.len()));
         sizes
     }
 
@@ -149,11 +146,11 @@ impl ResidentSplatting<'_> {
         let (of_step, offsets) = (&steps[index], &offsets[index]);
         let (shape, links) = (self.shape(resident, of_step), of_step.links.pairs.len());
         let (inputs, drawing) = (resident.slot(INPUTS), resident.drawing);
-        step.clear(resident.slot(D_STATE), resident.parameters);
+        step.clear(resident.slot(D_STATE), resident.parameters());
         step.copy_numbers((inputs, offsets.constants), drawing + VIEW, VIEW_LEN);
         step.copy_numbers((inputs, offsets.constants + VIEW_LEN), drawing + LOSS, LOSS_LEN);
         resident.sort(step, view_of(of_step).pose.position.map(|x| x as Real));
-        resident.arrange_cloud(step, of_step.mask.map_or(0.0, |mask| mask.threshold));
+        resident.arrange_cloud(step);
         network.begin(step);
         for link in 0..links {
             let tx = offsets.transmitters + link * self.encoded_width();
@@ -165,9 +162,6 @@ impl ResidentSplatting<'_> {
             network.backward(step, tx);
         }
         network.end(step);
-        if let Some(mask) = of_step.mask {
-            resident.penalise(step, mask.lambda, index);
-        }
         plan.update(step, of_step);
         step.send();
     }
@@ -183,10 +177,10 @@ impl Plan<'_> {
     fn update(&self, step: &mut GpuStep<'_>, of_step: &DeviceStep) {
         let Self { resident, network, .. } = self;
         let mut start = 0;
-        for (update, width) in of_step.columns.iter().zip([3, 3, 4, 1, 2, 1]) {
+        for (update, width) in of_step.columns.iter().zip([3, 3, 4, 1, 2]) {
             let end = start + width * resident.gaussians;
             if let Some(update) = update {
-                let state = (resident.slot(STATE), resident.parameters);
+                let state = (resident.slot(STATE), resident.parameters());
                 step.adam(state, resident.slot(D_STATE), start..end, update);
             }
             start = end;
@@ -197,16 +191,15 @@ impl Plan<'_> {
         }
     }
 
-    /// Returns loss and penalty of each step, given the results of all links and the penalties.
-    fn losses(&self, results: &[Vec<Real>], penalties: &[Real]) -> Vec<[Real; 2]> {
+    /// Returns the loss of each step, given the results of all links.
+    fn losses(&self, results: &[Vec<Real>]) -> Vec<Real> {
         let mut of_links = results.chunks_exact(LINK_READS);
-        let one = |(index, step): (usize, &DeviceStep)| {
-            let shares = &self.inputs[self.offsets[index].transmitters - 2..];
+        let one = |(step, offsets): (&DeviceStep, &StepOffsets)| {
+            let shares = &self.inputs[offsets.transmitters - 2..];
             let sums = of_links.by_ref().take(step.links.pairs.len());
-            let loss = sums.map(|of_link| shares[0] * of_link[1][0] + shares[1] * of_link[1][1]).sum();
-            [loss, if step.mask.is_some() { penalties[index] } else { 0.0 }]
+            sums.map(|of_link| shares[0] * of_link[1][0] + shares[1] * of_link[1][1]).sum()
         };
-        self.steps.iter().enumerate().map(one).collect()
+        self.steps.iter().zip(&self.offsets).map(one).collect()
     }
 }
 
@@ -240,11 +233,10 @@ fn upload_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingSta
 }
 
 /// Requests the [`STATE_READS`] results at the end.
-fn read_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingState<'_>, steps: usize) {
-    step.read(resident.slot(STATE), 0, 3 * resident.parameters);
+fn read_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingState<'_>) {
+    step.read(resident.slot(STATE), 0, 3 * resident.parameters());
     step.read(ResidentMlp::WEIGHTS, 0, 3 * state.weights.len());
     step.read(resident.slot(STATS), 0, 4 * resident.gaussians);
-    step.read(resident.slot(PENALTIES), 0, steps);
 }
 
 /// Writes these results to the state.

@@ -6,14 +6,13 @@ use crate::Readout;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::ssim::Window;
 use pwrfgs_core::{
-    AdamUpdate, CloudStats, Deformation, DeviceStep, DeviceStepper, ExtraColumn, GaussianCloud, Method, MethodVjp,
-    Parameters, PixelSubset, Real, SpectrumLoss, StraightThroughMask, TrainingState, WantedInputs, rng, sigmoid,
+    AdamUpdate, Call, CloudStats, Deformation, DeviceStep, DeviceStepper, GaussianCloud, Method, MethodVjp, Parameters,
+    PixelSubset, Real, SpectrumLoss, TrainingState, WantedInputs, rng,
 };
 use pwrfgs_gpu::{Gpu, for_tests};
 
 const NETWORK: &str = "Mlp(depth: 3, width: 16, skip: Some(0), tx_hidden: 8, tx_features: 4)";
 const PLAIN: &str = "Mlp(depth: 2, width: 16, skip: None)";
-const MASK: StraightThroughMask = StraightThroughMask { column: "mask_logits", threshold: 0.4, lambda: 0.3 };
 
 /// All that steps change.
 #[derive(Clone)]
@@ -28,7 +27,8 @@ struct State {
 impl State {
     fn new(method: &Splatting, n: usize) -> Self {
         let mut cloud = cloud_of(n).0;
-        cloud.extra.push(ExtraColumn { name: MASK.column.into(), width: 1, values: random("masks", n) });
+        // Every fifth is too faint to be drawn.
+        cloud.opacity_logits.iter_mut().step_by(5).skip(1).for_each(|logit| *logit -= 12.0);
         let weights = method.layout(&setup()).init(&mut rng::stream(2, "weights", 0));
         let (zeros, stats) = (cloud.zeros_like(), CloudStats::zeros(n));
         let weight_moments = [(); 2].map(|()| vec![0.0; weights.len()]);
@@ -71,34 +71,38 @@ fn steps_of(method: &Splatting, transmitters: usize, count: usize) -> Vec<Device
         // The large addend leaves the step a smooth function of the derivative.
         let update = AdamUpdate { rate: 0.05, eps: 0.1, unbias: [power(0.9), power(0.999)], l2: 0.0, decay: 0.0 };
         let decayed = AdamUpdate { l2: 0.02, decay: 0.1, ..update };
-        let columns = vec![Some(update), Some(update), None, Some(decayed), Some(update), Some(update)];
+        let columns = vec![Some(update), Some(update), None, Some(decayed), Some(update)];
         let half = method.layout(&setup).weight_count() / 2;
         let weights = vec![(0..half, decayed), (half + 1..2 * half, update)];
         let ssim = (0.2, Window::default());
-        DeviceStep { setup, links, truths, ssim, is_squared: k == 2, mask: Some(MASK), columns, weights }
+        DeviceStep { setup, links, truths, ssim, is_squared: k == 2, columns, weights }
     };
     (0..count).map(one).collect()
 }
 
-/// Runs a step on the CPU; returns loss and penalty.
-fn step_on_cpu(method: &Splatting, state: &mut State, step: &DeviceStep) -> [Real; 2] {
+/// Runs a step on the CPU; returns the loss.
+fn step_on_cpu(method: &Splatting, state: &mut State, step: &DeviceStep) -> Real {
     let DeviceStep { setup, links, truths, ssim, is_squared, .. } = step;
-    let masks: Vec<Real> = state.cloud.extra[0].values.iter().map(|m| sigmoid(*m)).collect();
-    let gate: Vec<Real> = masks.iter().map(|m| Real::from(*m >= MASK.threshold)).collect();
-    let bare = GaussianCloud { extra: Vec::new(), ..state.cloud.clone() };
-    let parameters = Parameters { cloud: &bare, gate: Some(&gate), existence: None, weights: &state.weights };
-    let call = pwrfgs_core::Call { setup, parameters, links, pixels: &PixelSubset::All };
+    let rows = method.drawable(setup, &state.cloud, None);
+    let drawn = state.cloud.select(&rows);
+    let parameters = Parameters { cloud: &drawn, gate: None, existence: None, weights: &state.weights };
+    let call = Call { setup, parameters, links, pixels: &PixelSubset::All };
     let observed = method.forward(&call, &None);
     let loss = SpectrumLoss { truths, ssim_weight: ssim.0, window: ssim.1, is_squared: *is_squared };
     let (loss, d) = loss_on_cpu(&observed.numbers, &loss, (setup.plane.width, setup.plane.height));
     let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
     method.vjp(&call, observed, &d, &mut sums);
-    let n = masks.len() as Real;
-    let slope = |m: &Real| m * (1.0 - m);
-    let d_masks = masks.iter().zip(&sums.gate).map(|(m, d)| (d + MASK.lambda / n) * slope(m)).collect();
-    let mut d_cloud = sums.cloud;
-    d_cloud.extra = vec![ExtraColumn { values: d_masks, ..state.cloud.extra[0].clone() }];
-    state.stats.merge(&sums.stats);
+    let (mut d_cloud, mut stats) = (state.cloud.zeros_like(), CloudStats::zeros(state.cloud.len()));
+    let scatter = |width: usize, all: &mut [Real], drawn: &[Real]| {
+        for (row, values) in rows.iter().zip(drawn.chunks_exact(width)) {
+            all[row * width..][..width].copy_from_slice(values);
+        }
+    };
+    let columns = d_cloud.columns_mut().zip(sums.cloud.columns());
+    columns.for_each(|((_, width, all), (.., drawn))| scatter(width, all, drawn));
+    let columns = stats.columns_mut().into_iter().zip(sums.stats.columns());
+    columns.for_each(|((_, all), (_, drawn))| scatter(1, all, drawn));
+    state.stats.merge(&stats);
     let [first, second] = &mut state.cloud_moments;
     let moments = first.columns_mut().zip(second.columns_mut());
     for (((update, (.., x)), (.., d)), ((.., m), (.., v))) in
@@ -111,14 +115,14 @@ fn step_on_cpu(method: &Splatting, state: &mut State, step: &DeviceStep) -> [Rea
         let [range, a, b, c] = [(); 4].map(|()| range.clone());
         assert!(update.apply(&mut state.weights[range], &sums.weights[a], &mut first[b], &mut second[c]));
     }
-    [loss, MASK.lambda * masks.iter().sum::<Real>() / n]
+    loss
 }
 
 fn method(network: &str, readout: Readout) -> Splatting {
     Splatting { deformation: Plugin::<dyn Deformation>::parse(network).unwrap(), readout, ..Splatting::default() }
 }
 
-fn run(method: &Splatting, gpu: &Gpu, state: &mut State, steps: &[DeviceStep]) -> Vec<[Real; 2]> {
+fn run(method: &Splatting, gpu: &Gpu, state: &mut State, steps: &[DeviceStep]) -> Vec<Real> {
     method.resident_on(gpu, &setup()).unwrap().run(state.borrow(), steps).unwrap()
 }
 
@@ -134,12 +138,8 @@ fn steps_match_the_cpu() {
         let mut found = expected.clone();
         let losses = run(&method, gpu, &mut found, &steps);
         for (k, (step, loss)) in steps.iter().zip(losses).enumerate() {
-            compare(
-                &format!("{n} x {transmitters}, losses {k}"),
-                &loss,
-                &step_on_cpu(&method, &mut expected, step),
-                1e-5,
-            );
+            let name = format!("{n} x {transmitters}, loss {k}");
+            compare(&name, &[loss], &[step_on_cpu(&method, &mut expected, step)], 1e-5);
         }
         // As in `whole_drawings_match`: a pixel of many may change sides of the limit 1/255, and units that of their ReLU.
         let limit = if n > 65 { 1e-3 } else { 1e-4 };

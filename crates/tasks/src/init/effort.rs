@@ -15,7 +15,7 @@ pub enum Effort {
     /// The default: up to two minutes on two cores for small sets.
     #[default]
     Normal,
-    /// Twice as many models for few positions, for received powers with wider networks; four for many positions.
+    /// Few positions: twice as many models; for received powers also wider networks. Many positions: four models.
     Best,
 }
 
