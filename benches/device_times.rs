@@ -22,7 +22,7 @@ fn step_ms(network: &str, n: usize, steps: usize) -> Result<f64> {
     let pipeline = format!(
         "Pipeline(
             name: \"times\", data: Teacher(gaussians: 20, samples: 10, width: 360, height: 90), split: Random(test: 0.2),
-            initializer: Random(count: {n}, std: 3), deformation: {network}, pruners: [LearnableMask(lambda: 0.02)],
+            initializer: Random(count: {n}, std: 3), deformation: {network}, pruners: [],
             training: (steps: 1000000, batch: 1, densify_until: 1000000, prune_until: 1000000, densify: (every: 0)),
         )"
     );
