@@ -83,8 +83,8 @@ impl ScoreTable {
     fn format_metrics(&self, shown: &[&MetricRow], all: bool) -> String {
         let share = self.share.map_or_else(String::new, |share| format!(" (b = {share})"));
         let name = |name: &String| match name.as_str() {
-            MODEL => format!("{name}{share}"),
             _ if self.oracles.contains(name) => format!("{name} †"),
+            MODEL => format!("{name}{share}"),
             _ => name.clone(),
         };
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
