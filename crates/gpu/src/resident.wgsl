@@ -1,7 +1,7 @@
 // Whole training steps whose parameters stay on the GPU. The state [x, m, v] of P parameters has their values, then both moments
 // of Adam. Columns of the Gaussians follow each other: means [n, 3], log scales [n, 3], rotations [n, 4], opacity logits [n],
-// signals [n, 2]. Outputs of the network are [9, n]: rotations 4, scales 3,
-// signals 2. Rows of drawings are in depth order; the keys are [2, k]: depths, and the index of the Gaussian of each row.
+// signals [n, 2]. Outputs of the network are [9, n]: rotations 4, scales 3, signals 2. Rows of drawings are in depth order; the
+// keys are [2, k]: depths, and the index of the Gaussian of each row.
 
 struct Op {
   n: u32,                       // Gaussians, or numbers
@@ -9,11 +9,6 @@ struct Op {
   k: u32, j: u32,
   x0: f32, x1: f32, x2: f32, x3: f32, x4: f32, x5: f32, x6: f32, x7: f32, x8: f32,
 }
-
-const ROW: u32 = 20u;           // as in project.wgsl, like the next two
-const SPLAT: u32 = 12u;
-const GEOMETRY: u32 = 8u;
-const ALPHA_MIN: f32 = 0.003921568859368563; // 1/255, as in common.wgsl
 
 struct Wave { sine: f32, cosine: f32 }
 // Sine and cosine of up to about 50,000 rad: the built-in functions may be off by 5e-4. The parts of pi/2 have few bits, so that

@@ -38,12 +38,12 @@ pub(crate) const RESIDENT: [&str; 11] = [
 
 /// Passes of whole training steps.
 pub(crate) const RESIDENT_SOURCE: &str =
-    concat!(include_str!("bindings.wgsl"), include_str!("exponential.wgsl"), include_str!("resident.wgsl"));
+    concat!(include_str!("bindings.wgsl"), include_str!("draw/columns.wgsl"), include_str!("resident.wgsl"));
 
 /// Files of the folder `draw`.
 pub(crate) const DRAWING_SOURCE: &str = concat!(
     include_str!("bindings.wgsl"),
-    include_str!("exponential.wgsl"),
+    include_str!("draw/columns.wgsl"),
     include_str!("draw/common.wgsl"),
     include_str!("draw/project.wgsl"),
     include_str!("draw/blend.wgsl"),

@@ -1,10 +1,9 @@
 //! Steps on a device that keeps the parameters: the trainer plans the steps up to the next edit of the cloud, and the
 //! [`DeviceStepper`](pwrfgs_core::DeviceStepper) of the method runs them.
 
-use crate::densify;
 use crate::settings::Rays;
 use crate::trainer::{StepReport, Trainer};
-use pwrfgs_core::{DeviceStep, Error, Phase, Real, Result, StepContext, TrainingState, device};
+use pwrfgs_core::{DeviceStep, Error, Real, Result, TrainingState, device};
 use std::sync::Arc;
 
 /// Maximum number of steps that run together, and of bytes of their measured spectra.
@@ -28,12 +27,15 @@ impl Trainer<'_> {
     /// Runs up to `most` steps on a device; `None` if it does not keep the parameters, or if something in the next step is
     /// unknown to it.
     fn run_on_device(&mut self, most: u64) -> Result<Option<Vec<StepReport>>> {
+        if device::name().is_none() {
+            return Ok(None);
+        }
         let settings = &self.plan.training;
         let is_known = settings.dropout == 0.0
             && settings.rays == Rays::All
             && self.objective.as_spectrum_loss(&[]).is_some()
             && self.cloud.extra.is_empty(); // such as masks: the host leaves out closed Gaussians
-        if device::name().is_none() || !is_known || self.cloud.is_empty() {
+        if !is_known || self.cloud.is_empty() {
             return Ok(None);
         }
         let stages = Arc::clone(&self.stages);
@@ -85,22 +87,11 @@ impl Trainer<'_> {
             bytes += size_of_val(&batch.truths[..]);
             let (links, truths) = (batch.inputs, batch.truths);
             planned.push(DeviceStep { setup, links, truths, ssim, is_squared, columns, weights });
-            if self.edits(&context) || bytes > MOST_BYTES {
+            if self.is_change_due(&context) || bytes > MOST_BYTES {
                 break;
             }
         }
         Ok(planned)
-    }
-
-    /// Returns whether algorithm 1 changes the cloud after a step.
-    fn edits(&self, context: &StepContext) -> bool {
-        let (settings, step) = (&self.plan.training, context.step);
-        let is_densified = densify::is_due(&settings.densify, step) || densify::is_reset_due(&settings.densify, step);
-        match context.phase {
-            Phase::Densify => is_densified || step == settings.prune_until,
-            Phase::Prune => context.round > 0 || step == settings.prune_until,
-            Phase::Finetune => false,
-        }
     }
 
     /// Returns an error unless losses and parameters are finite.

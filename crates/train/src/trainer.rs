@@ -315,11 +315,26 @@ impl Trainer<'_> {
         if rate == 0.0 { None } else { self.stages.layout().draw_dropout(rate, random) }
     }
 
+    /// Returns whether algorithm 1 may change the cloud after a step.
+    pub(crate) fn is_change_due(&self, context: &StepContext) -> bool {
+        let (settings, step) = (&self.plan.training, context.step);
+        let is_densified = densify::is_due(&settings.densify, step) || densify::is_reset_due(&settings.densify, step);
+        let is_due = match context.phase {
+            Phase::Densify => is_densified,
+            Phase::Prune => context.round > 0,
+            Phase::Finetune => false,
+        };
+        is_due || step == settings.prune_until
+    }
+
     /// Changes N as algorithm 1 prescribes. Returns the Gaussians before a removal by pruners; `None` without one.
     ///
     /// # Errors
     /// Too few Gaussians are left, or a spectrum cannot be read for statistics.
     fn change_count(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
+        if !self.is_change_due(context) {
+            return Ok(None);
+        }
         let mut unpruned = None;
         match context.phase {
             // Gaussians of methods that do not draw have no radius and no 2-D gradient, and are not densified.

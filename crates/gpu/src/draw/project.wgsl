@@ -6,9 +6,6 @@
 
 const CLOUD: u32 = 13u;
 const TERMS: u32 = 7u;
-const SPLAT: u32 = 12u;    // mean 2, conic 3, opacity, existence, half the sides of its box 2, radius
-const ROW: u32 = 20u;      // derivatives: mean 3, log scales 3, rotation 4, logit, gate, terms 7; radius
-const GEOMETRY: u32 = 8u;  // derivatives of a splat: mean 2, conic 3, opacity, weight, existence; signals follow
 const SCALE_FLOOR: f32 = 1e-4;
 const COS_FLOOR: f32 = 0.008726535498373935;
 const ON_AXIS: f32 = 1e-6;

@@ -110,9 +110,9 @@ impl ResidentSplatting<'_> {
             inputs.extend([(1.0 - step.ssim.0) / numbers, step.ssim.0 / numbers]);
             let transmitters = inputs.len();
             let positions = step.links.conditions();
-            step.links.pairs.iter().for_each(|link| {
+            for link in &step.links.pairs {
                 inputs.extend(network.encode_transmitter(positions.positions()[link.location]));
-            });
+            }
             offsets.push(StepOffsets { constants, transmitters, truths: inputs.len() });
             inputs.extend(&step.truths);
         }
@@ -153,7 +153,7 @@ impl ResidentSplatting<'_> {
         resident.arrange_cloud(step);
         network.begin(step);
         for link in 0..links {
-            let tx = offsets.transmitters + link * self.encoded_width();
+            let tx = offsets.transmitters + link * network.encoded_width();
             network.forward(step, tx);
             resident.arrange_heads(step);
             step.copy_numbers((inputs, offsets.truths + link * shape.pixels()), drawing + TRUTHS, shape.pixels());
@@ -164,11 +164,6 @@ impl ResidentSplatting<'_> {
         network.end(step);
         plan.update(step, of_step);
         step.send();
-    }
-
-    /// Returns the number of inputs per transmitter.
-    fn encoded_width(&self) -> usize {
-        pwrfgs_networks::encoding::encoded_width(self.mlp.tx_frequencies)
     }
 }
 

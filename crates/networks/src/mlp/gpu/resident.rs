@@ -3,7 +3,6 @@
 use crate::encoding::{encode, encoded_width};
 use crate::linear::{LayerPart, Linear, lay_out};
 use crate::mlp::{Mlp, MlpLayers, Outputs};
-use crate::mlp_branch::TxBranch;
 use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, FOLDED, GAMMA, GpuTrunk, NETWORK, WEIGHTS, chunk_rows};
 use pwrfgs_core::Real;
 use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep, SCRATCH, scratch_len};
@@ -90,11 +89,15 @@ impl ResidentMlp {
         self.weights
     }
 
-    /// Encodes the position of a transmitter.
+    /// Returns the number of inputs per transmitter.
+    pub fn encoded_width(&self) -> usize {
+        encoded_width(self.network.branch.frequencies)
+    }
+
+    /// Encodes the position of a transmitter, metres from the origin.
     pub fn encode_transmitter(&self, position: [Real; 3]) -> Vec<Real> {
-        let TxBranch { frequencies, .. } = self.network.branch;
-        let mut gamma = vec![0.0; encoded_width(frequencies)];
-        encode([position].into_iter(), frequencies, &mut gamma);
+        let mut gamma = vec![0.0; self.encoded_width()];
+        encode([position].into_iter(), self.network.branch.frequencies, &mut gamma);
         gamma
     }
 
