@@ -110,7 +110,10 @@ fn efforts_of_small_powers_are_one_eight_and_sixteen_models() {
     // Positions of these receivers are estimated, in each data folder anew.
     succeed(here, &["update", "r", "--data", "walk", "--out", "updated.safetensors"]);
     let said = stderr(&succeed(here, &["map", "r", "--plane", "z=1", "--step", "2", "--out", "drawn"]));
-    assert!(said.contains("powers within some metres of ap1, ap2 are unreliable"), "{said}");
+    assert!(
+        said.contains("estimated receiver positions (ap1, ap2): powers within some metres of them are unreliable"),
+        "{said}"
+    );
     refuse(here, &["init", "walk", "--effort", "most", "--out", "no.ron"], 2, &["fast, normal or best"]);
 }
 

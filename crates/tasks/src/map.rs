@@ -117,7 +117,7 @@ fn warn_of_estimated(receivers: &[Receiver], mapped: &[usize], observer: &mut dy
     if !names.is_empty() {
         let names = join_names(names.iter(), LISTED);
         observer.on_warning(&format!(
-            "powers within some metres of {names} are unreliable, since these positions are estimated; import the data with \
+            "estimated receiver positions ({names}): powers within some metres of them are unreliable; import the data with \
              `--receivers FILE` if they are known"
         ));
     }
@@ -271,14 +271,20 @@ impl RadioMap {
     }
 
     /// Draws a layer as PNG with its receiver, of name `receiver`, or with all mapped receivers. Receivers with an estimated
-    /// position are omitted.
+    /// position are omitted; the title counts them.
     fn draw_png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
         let grid = &self.grid;
         let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
         let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
-        let measured = shown.iter().filter(|r| !self.receivers[**r].is_estimated);
+        let (estimated, measured): (Vec<usize>, Vec<usize>) =
+            shown.into_iter().partition(|r| self.receivers[*r].is_estimated);
+        let doubt = match estimated.len() {
+            0 => String::new(),
+            1 => " (1 estimated position)".into(),
+            count => format!(" ({count} estimated positions)"),
+        };
         let heat = Heatmap {
-            title: format!("{}{suffix}, {}", layer.words, grid.plane.describe()),
+            title: format!("{}{suffix}{doubt}, {}", layer.words, grid.plane.describe()),
             unit: layer.unit.into(),
             names: grid.plane.axis_names(),
             first: grid.first,
@@ -286,7 +292,7 @@ impl RadioMap {
             columns: grid.columns,
             values: &layer.values,
             colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
-            receivers: measured.map(|&r| grid.plane.project(self.poses[r].position)).collect(),
+            receivers: measured.into_iter().map(|r| grid.plane.project(self.poses[r].position)).collect(),
             arrows: &layer.arrows,
             training: self.training.as_ref(),
         };
