@@ -107,6 +107,9 @@ fn efforts_of_small_powers_are_one_eight_and_sixteen_models() {
     }
     let table = stdout(&succeed(here, &["run", "normal.ron", "--out", "r", "-q"]));
     assert!(table.contains("share") && !table.contains("member 8"), "{table}");
+    succeed(here, &["report", "r", "--out", "page"]);
+    let page = std::fs::read_to_string(here.join("page/report.html")).unwrap();
+    assert!(page.contains("colspan=\"1\" scope=\"colgroup\">share"), "the share is one column");
     // Positions of these receivers are estimated, in each data folder anew.
     succeed(here, &["update", "r", "--data", "walk", "--out", "updated.safetensors"]);
     let said = stderr(&succeed(here, &["map", "r", "--plane", "z=1", "--step", "2", "--out", "drawn"]));

@@ -126,7 +126,7 @@ pub fn is_compared(key: &str, task: Task) -> bool {
 }
 
 /// Keys of the metrics of this toolkit except rate ratios, and of the columns that a comparison of runs adds.
-const BUILT_IN: [&str; 19] = [
+const BUILT_IN: [&str; 20] = [
     "ssim",
     "l1",
     "psnr",
@@ -144,6 +144,7 @@ const BUILT_IN: [&str; 19] = [
     "latency_sort_ms",
     "latency_blending_ms",
     "latency_total_ms",
+    "share",
     "trained_on",
     "training_s",
 ];
