@@ -16,15 +16,11 @@ fn code(page: &str) -> Vec<&str> {
     blocks.flat_map(str::lines).map(|line| line.split(" #").next().unwrap().trim_end()).collect()
 }
 
-/// Means over three seeds of SSIM and η, from the single runs in `docs/lab/curve.md`.
+/// Means over three seeds of SSIM and η, from the row of `docs/lab/curve.md`; `None` without three seeds.
 fn means(runs: &str, gaussians: &str, method: &str) -> Option<[f64; 2]> {
-    let row = format!(r"(?m)^\| {gaussians} \| {method} \| \d \| ([\d.]+) / [\d.]+ \| [\d.]+ \| ([\d.]+) \|");
-    let rows: Vec<[f64; 2]> = Regex::new(&row)
-        .unwrap()
-        .captures_iter(runs)
-        .map(|found| [&found[1], &found[2]].map(|number| number.parse().unwrap()))
-        .collect();
-    (rows.len() == 3).then(|| [0, 1].map(|k| rows.iter().map(|row| row[k]).sum::<f64>() / 3.0))
+    let row = runs.lines().find(|line| line.starts_with(&format!("| {gaussians} | {method} |")))?;
+    let seeds: Vec<Vec<(f64, usize)>> = row.split('|').skip(3).map(numbers).collect();
+    (seeds[0].len() == 3).then(|| [0, 3].map(|column| seeds[column].iter().map(|(value, _)| value).sum::<f64>() / 3.0))
 }
 
 /// Cells of the row of a table that begins with `first`.
