@@ -113,8 +113,8 @@ const MOST: usize = 4_096;
 const LARGEST: usize = 1 << 28;
 
 impl Nerf2 {
-    /// Returns the unit vectors of the rays of powers and channels, ring by ring from the lowest above the horizon to the
-    /// zenith.
+    /// Returns the unit vectors of the rays of powers and channels, receiver frame, ring by ring from the lowest above the
+    /// horizon to the zenith.
     fn sky_directions(&self) -> Vec<[Real; 3]> {
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
@@ -137,7 +137,7 @@ impl Nerf2 {
         if let Some((name, value, least)) = counts.iter().find(|(_, value, least)| !(*least..=MOST).contains(value)) {
             return Err(format!("`{name}` is {value}; give {least} to {MOST}"));
         }
-        let weights = (self.depth + 2) * self.width * self.width;
+        let weights = (self.depth + 2) * self.width * self.width; // of the square layers
         if weights > LARGEST {
             return Err(format!(
                 "depth {} and width {} give {weights} weights, expected at most {LARGEST}; reduce them",
@@ -155,6 +155,7 @@ impl Nerf2 {
         if let Some((name, value)) = lengths.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
             return Err(format!("`{name}` is {value}; give a positive number"));
         }
+        // Inputs of width 3 are positions.
         if (1..=3).contains(&self.features) || self.features > MOST {
             return Err(format!("`features` is {}; give 0 for the position, or 4 to {MOST}", self.features));
         }

@@ -115,7 +115,8 @@ impl GpuNerf2<'_> {
             step.read(ATTENUATION, 0, if ready.is_none() { self.network.outputs * chunk.on.rows } else { 0 });
             Self::upload_views(&mut step, group, rays);
             for pass in 0..group.links.pass_count() {
-                self.run_signal(&mut step, chunk, group.walk.emission, &group.links.pass_locations(pass, rays));
+                let locations = group.links.pass_locations(pass, rays);
+                self.run_signal(&mut step, chunk, group.walk.transmitter_terms, &locations);
                 step.read(RAW, 0, self.network.outputs * chunk.on.rows);
                 step.send();
             }
@@ -185,7 +186,8 @@ impl GpuNerf2<'_> {
             Self::upload_views(&mut step, group, rays);
             step.clear(D_FROM_FEATURE, width * chunk.on.rows);
             for (pass, d_raw) in d_raw.iter().enumerate() {
-                self.run_signal(&mut step, chunk, group.walk.emission, &group.links.pass_locations(pass, rays));
+                let locations = group.links.pass_locations(pass, rays);
+                self.run_signal(&mut step, chunk, group.walk.transmitter_terms, &locations);
                 step.upload(RAW, 0, d_raw);
                 self.signal_vjp(&mut step, chunk);
                 step.read(D_SIDE, 0, width * rays.len());
@@ -197,19 +199,19 @@ impl GpuNerf2<'_> {
         step.read(D_WEIGHTS, 0, self.weights.len());
         step.read(D_FOLDED, 0, 2 * width);
         let mut results = step.finish()?.into_iter();
-        let mut d_emission = vec![0.0; groups.iter().map(|group| group.walk.emission.len()).max().unwrap_or(0)];
+        let mut d_terms = vec![0.0; groups.iter().map(|group| group.walk.transmitter_terms.len()).max().unwrap_or(0)];
         for GpuActivations { group, rays, raw, .. } in chunks {
             for (pass, d_side) in results.by_ref().take(raw.len()).enumerate() {
                 let locations = groups[*group].links.pass_locations(pass, rays);
                 for (feature, d_side) in d_side.chunks_exact(rays.len()).enumerate() {
-                    locations.iter().zip(d_side).for_each(|(tx, d)| d_emission[tx * width + feature] += d);
+                    locations.iter().zip(d_side).for_each(|(tx, d)| d_terms[tx * width + feature] += d);
                 }
             }
         }
         let (d_network, d_folded) = (results.next().unwrap_or_default(), results.next().unwrap_or_default());
         pwrfgs_networks::dense::add_assign(d_weights, &d_network);
         self.network.trunk.add_joint_biases(d_weights, &self.network.trunk.folded_joints(&d_folded));
-        Ok(d_emission)
+        Ok(d_terms)
     }
 
     /// Returns the cotangents of the raw attenuations of a chunk, and of the raw emissions per pass, `[2 bands, R]` each.

@@ -48,7 +48,7 @@ fn run(method: &Nerf2, gpu: Option<&Gpu>, case: Case, shift: Real) -> Pass {
     let moved = weights.iter_mut().chain(txs.as_flattened_mut());
     moved.zip(directions(plan_len(method, bands), batch)).for_each(|(x, direction)| *x += shift * direction);
     let conditions = Conditions::from(&txs);
-    let emission = network.emission(&weights, &conditions, 1.0);
+    let transmitter_terms = network.transmitter_terms(&weights, &conditions, 1.0);
     let unit = |d: &[Real; 3]| {
         let length = d.iter().map(|x| x * x).sum::<Real>().sqrt();
         d.map(|x| x / length)
@@ -62,10 +62,10 @@ fn run(method: &Nerf2, gpu: Option<&Gpu>, case: Case, shift: Real) -> Pass {
     } else {
         GroupLinks::All((0..batch).map(|b| (b, b)).collect())
     };
-    let walk = RayWalk { network: &network, weights: &weights, rays, law, emission: &emission };
+    let walk = RayWalk { network: &network, weights: &weights, rays, law, transmitter_terms: &transmitter_terms };
     let groups = [RayGroup { receiver: 0, walk, links }];
     let mut d_weights = vec![0.0; weights.len()];
-    let (sums, d_emission) = match gpu {
+    let (sums, d_terms) = match gpu {
         Some(gpu) => {
             let on = GpuNerf2 { gpu, network: &network, weights: &weights, samples: method.samples };
             on_gpu(on, &groups, &mut d_weights)
@@ -73,7 +73,7 @@ fn run(method: &Nerf2, gpu: Option<&Gpu>, case: Case, shift: Real) -> Pass {
         None => on_cpu(&groups[0], &mut d_weights),
     };
     let mut d_txs = vec![[0.0; 3]; batch];
-    network.emission_vjp(&weights, &conditions, 1.0, &d_emission, (&mut d_weights, Some(&mut d_txs)));
+    network.transmitter_terms_vjp(&weights, &conditions, 1.0, &d_terms, (&mut d_weights, Some(&mut d_txs)));
     d_weights.extend(d_txs.as_flattened());
     (sums, d_weights)
 }
@@ -84,13 +84,13 @@ fn plan_len(method: &Nerf2, bands: usize) -> usize {
 
 fn on_cpu(group: &RayGroup<'_>, d_weights: &mut [Real]) -> (Vec<Real>, Vec<Real>) {
     let (mut sums, mut scratch) = (vec![Vec::new(); group.links.pass_count()], GroupScratch::default());
-    let mut into = Sums { weights: d_weights, emission: vec![0.0; group.walk.emission.len()] };
+    let mut into = Sums { weights: d_weights, transmitter_terms: vec![0.0; group.walk.transmitter_terms.len()] };
     for chunk in group.walk.chunks() {
         let of_chunk = group.forward(&chunk, None, &mut scratch);
         sums.iter_mut().zip(of_chunk).for_each(|(all, sums)| all.extend(sums));
         group.backward(&chunk, None, |pass, ray, band| cotangent([pass, ray, band]), &mut scratch, &mut into);
     }
-    (sums.into_iter().flatten().flatten().collect(), into.emission)
+    (sums.into_iter().flatten().flatten().collect(), into.transmitter_terms)
 }
 
 fn on_gpu(on: GpuNerf2<'_>, groups: &[RayGroup<'_>], d_weights: &mut [Real]) -> (Vec<Real>, Vec<Real>) {
@@ -105,8 +105,8 @@ fn on_gpu(on: GpuNerf2<'_>, groups: &[RayGroup<'_>], d_weights: &mut [Real]) -> 
     let (chunks, sums) = sums_of(None);
     let ready = [on.prepare(&groups[0]).unwrap().unwrap()];
     assert!(sums_of(Some(&ready)).1 == sums, "the same trunk, kept");
-    let d_emission = on.backward(groups, &chunks, |_, sum| cotangent(sum), d_weights).unwrap();
-    (sums, d_emission)
+    let d_terms = on.backward(groups, &chunks, |_, sum| cotangent(sum), d_weights).unwrap();
+    (sums, d_terms)
 }
 
 fn norm(values: impl Iterator<Item = f64>) -> f64 {

@@ -1,6 +1,6 @@
 //! `RayGroup`: links with equal rays, chunk by chunk through the network and back.
 
-use crate::nerf2::walk::{RayWalk, SharedActivations, SignalActivations, Sums, TrunkActivations};
+use crate::nerf2::walk::{PREDICTION_SLOTS, RayWalk, SharedActivations, SignalActivations, Sums, TrunkActivations};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
@@ -40,7 +40,7 @@ pub(crate) struct GroupScratch {
 }
 
 impl GroupLinks {
-    /// Returns the number of passes over a chunk.
+    /// Returns the number of passes over a chunk: runs of the signal network with one link per ray.
     pub(crate) fn pass_count(&self) -> usize {
         match self {
             Self::All(links) => links.len(),
@@ -90,7 +90,8 @@ impl RayGroup<'_> {
         scratch: &mut GroupScratch,
     ) -> Passes {
         let GroupScratch { trunk_activations, signal } = scratch;
-        let made = ready.is_none().then(|| self.walk.shared_activations(rays.clone(), 2, trunk_activations));
+        let made =
+            ready.is_none().then(|| self.walk.shared_activations(rays.clone(), PREDICTION_SLOTS, trunk_activations));
         let Some(shared) = ready.or(made.as_ref()) else { return Passes::new() };
         let one = |pass: usize| {
             self.walk.run_signal_network(shared, &self.links.pass_locations(pass, rays), signal);
@@ -99,7 +100,7 @@ impl RayGroup<'_> {
         (0..self.links.pass_count()).map(one).collect()
     }
 
-    /// Runs the backward pass of a chunk of rays, given the cotangents `d` per pass, ray and band; adds to `into`.
+    /// Runs the backward pass of a chunk of rays, given the cotangents `d` per pass, ray of the group and band; adds to `into`.
     /// Without stored `activations` it repeats the forward pass.
     pub(crate) fn backward(
         &self,

@@ -6,7 +6,7 @@ use crate::nerf2::group::{GroupLinks, GroupScratch, Passes, RayActivations, RayG
 use crate::nerf2::network::Nerf2Network;
 use crate::nerf2::path::PropagationLaw;
 use crate::nerf2::totals::{band_count, collect_sums, observations, observations_vjp, total_index};
-use crate::nerf2::walk::{RayWalk, SharedActivations, Sums, TrunkActivations};
+use crate::nerf2::walk::{PREDICTION_SLOTS, RayWalk, SharedActivations, Sums, TrunkActivations};
 use crate::nerf2::{Nerf2, RayBundle};
 use pwrfgs_core::{
     Appearance, Cache, Call, Cost, ForwardOutput, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp,
@@ -45,7 +45,8 @@ struct Nerf2Cache {
 type Ready = Vec<Vec<SharedActivations>>;
 
 impl Nerf2 {
-    /// Returns the propagation law of a task.
+    /// Returns the propagation law of a task. The wavenumber is per metre, but multiplies lengths in the
+    /// network's unit, as released.
     fn propagation_law(&self, task: Task) -> PropagationLaw {
         if task.has_pixels {
             return PropagationLaw::Spectrum;
@@ -64,20 +65,20 @@ impl Nerf2 {
         Nerf2Network::new(self, band_count(setup), plan)
     }
 
-    /// Returns the rays of a receiver with the network; `emission` is the contribution of the transmitters.
+    /// Returns the rays of a receiver with the network and the result of [`Nerf2Network::transmitter_terms`].
     fn ray_walk<'a>(
         &self,
         setup: &MeasurementSetup,
         (network, weights): (&'a Nerf2Network, &'a [Real]),
         (receiver, pixels): (usize, &PixelSubset),
-        emission: &'a [Real],
+        transmitter_terms: &'a [Real],
     ) -> RayWalk<'a> {
         RayWalk {
             network,
             weights,
             rays: RayBundle::new(self, setup, receiver, pixels),
             law: self.propagation_law(setup.task),
-            emission,
+            transmitter_terms,
         }
     }
 
@@ -86,7 +87,7 @@ impl Nerf2 {
         &self,
         call: &Call<'_>,
         network: (&'a Nerf2Network, &'a [Real]),
-        emission: &'a [Real],
+        transmitter_terms: &'a [Real],
     ) -> Vec<RayGroup<'a>> {
         let Call { setup, links: inputs, .. } = *call;
         let group = |receiver: usize| {
@@ -98,12 +99,12 @@ impl Nerf2 {
             Some(match call.pixels {
                 PixelSubset::Each(pixels) => {
                     let pixels = links.iter().map(|(k, _)| pixels[*k]).collect();
-                    let walk = self.ray_walk(setup, network, (receiver, &PixelSubset::Each(pixels)), emission);
+                    let walk = self.ray_walk(setup, network, (receiver, &PixelSubset::Each(pixels)), transmitter_terms);
                     RayGroup { receiver, walk, links: GroupLinks::OnePerRay(links) }
                 }
                 pixels => RayGroup {
                     receiver,
-                    walk: self.ray_walk(setup, network, (receiver, pixels), emission),
+                    walk: self.ray_walk(setup, network, (receiver, pixels), transmitter_terms),
                     links: GroupLinks::All(links),
                 },
             })
@@ -111,7 +112,7 @@ impl Nerf2 {
         (0..setup.receivers.len()).filter_map(group).collect()
     }
 
-    /// Lists group, rays, and whether activations are kept, of all chunks: those that fit within [`KEPT`].
+    /// Lists all chunks as (group, rays, whether to keep the activations); those that still fit within [`KEPT`] are kept.
     fn plan_chunks(&self, network: &Nerf2Network, groups: &[RayGroup<'_>]) -> Vec<(usize, Range<usize>, bool)> {
         let mut free = KEPT;
         let mut chunks = Vec::new();
@@ -166,8 +167,8 @@ impl Method for Nerf2 {
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
         let Call { setup, parameters: p, links, .. } = *call;
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
-        let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
-        let groups = self.ray_groups(call, (&network, p.weights), &emission);
+        let transmitter_terms = network.transmitter_terms(p.weights, &links.conditions(), self.unit_m);
+        let groups = self.ray_groups(call, (&network, p.weights), &transmitter_terms);
         #[cfg(feature = "gpu")]
         if let Some(on) = self.on_gpu(&network, p.weights) {
             let results = or_default(on.forward(&groups, &on.items(&groups, None), |activations| activations));
@@ -207,8 +208,8 @@ impl Method for Nerf2 {
         let Call { setup, parameters: p, links, .. } = *call;
         let Nerf2Cache { chunks, totals, .. } = cached(&observed.cache);
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
-        let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
-        let groups = self.ray_groups(call, (&network, p.weights), &emission);
+        let transmitter_terms = network.transmitter_terms(p.weights, &links.conditions(), self.unit_m);
+        let groups = self.ray_groups(call, (&network, p.weights), &transmitter_terms);
         let d_totals = observations_vjp(setup, totals, d);
         let width = totals.len() / links.pairs.len().max(1);
         let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
@@ -220,27 +221,27 @@ impl Method for Nerf2 {
                 d_totals[total_index(setup, &groups[chunk.group].links, width, sum)]
             };
             return match on.backward(&groups, on_gpu, d, d_weights) {
-                Ok(d_emission) => {
+                Ok(d_terms) => {
                     let into = (&mut d_weights[..], d_positions.as_deref_mut());
-                    network.emission_vjp(p.weights, &conditions, self.unit_m, &d_emission, into);
+                    network.transmitter_terms_vjp(p.weights, &conditions, self.unit_m, &d_terms, into);
                 }
                 Err(error) => pwrfgs_core::device::fail(error),
             };
         }
         let parts = sum_groups(chunks, d_weights, |chunks, weights| {
-            let mut into = Sums { weights, emission: vec![0.0; emission.len()] };
+            let mut into = Sums { weights, transmitter_terms: vec![0.0; transmitter_terms.len()] };
             let mut scratch = GroupScratch::default();
             for Chunk { group, rays, activations } in chunks {
                 let group = &groups[*group];
                 let d = |pass, ray, band| d_totals[total_index(setup, &group.links, width, [pass, ray, band])];
                 group.backward(rays, activations.as_ref(), d, &mut scratch, &mut into);
             }
-            into.emission
+            into.transmitter_terms
         });
-        let mut d_emission = vec![0.0; emission.len()];
-        add_in_order(&mut d_emission, &parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        let mut d_terms = vec![0.0; transmitter_terms.len()];
+        add_in_order(&mut d_terms, &parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let into = (&mut d_weights[..], d_positions.as_deref_mut());
-        network.emission_vjp(p.weights, &conditions, self.unit_m, &d_emission, into);
+        network.transmitter_terms_vjp(p.weights, &conditions, self.unit_m, &d_terms, into);
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
@@ -265,7 +266,7 @@ impl Method for Nerf2 {
             let walk = self.ray_walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
             let chunks: Vec<Range<usize>> = walk.chunks().collect();
             let shared = |trunk_activations: &mut TrunkActivations, rays: &Range<usize>| {
-                walk.shared_activations(rays.clone(), 2, trunk_activations)
+                walk.shared_activations(rays.clone(), PREDICTION_SLOTS, trunk_activations)
             };
             chunks.par_iter().map_init(TrunkActivations::default, shared).collect()
         };
@@ -277,8 +278,8 @@ impl Method for Nerf2 {
         let Call { setup, parameters: p, links, pixels } = *call;
         let start = Instant::now();
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
-        let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
-        let groups = self.ray_groups(call, (&network, p.weights), &emission);
+        let transmitter_terms = network.transmitter_terms(p.weights, &links.conditions(), self.unit_m);
+        let groups = self.ray_groups(call, (&network, p.weights), &transmitter_terms);
         #[cfg(feature = "gpu")]
         if let Some(on) = self.on_gpu(&network, p.weights) {
             let kept = prepared.as_ref().filter(|_| *pixels == PixelSubset::All);

@@ -64,7 +64,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
     let names: Vec<String> = plan.layout().weights.into_iter().map(|spec| spec.name).collect();
     let weights = oracle.weights("w", &names);
     let conditions = Conditions::new(method_inputs(&method), &tx);
-    let emission = network.emission(&weights, &conditions, 1.0);
+    let transmitter_terms = network.transmitter_terms(&weights, &conditions, 1.0);
     let groups: Vec<RayGroup<'_>> = (0..links)
         .map(|link| {
             let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
@@ -82,7 +82,8 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");
             }
-            let walk = RayWalk { network: &network, weights: &weights, rays, law, emission: &emission };
+            let walk =
+                RayWalk { network: &network, weights: &weights, rays, law, transmitter_terms: &transmitter_terms };
             RayGroup { receiver: 0, walk, links: GroupLinks::All(vec![(link, link)]) }
         })
         .collect();
@@ -118,7 +119,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
     };
     let back = |activations: bool| {
         let mut d_weights = vec![0.0; weights.len()];
-        let mut into = Sums { weights: &mut d_weights, emission: vec![0.0; emission.len()] };
+        let mut into = Sums { weights: &mut d_weights, transmitter_terms: vec![0.0; transmitter_terms.len()] };
         for (link, group) in groups.iter().enumerate() {
             for chunk in group.walk.chunks() {
                 let results = activations.then(|| group.forward_keeping(&chunk).0);
@@ -126,7 +127,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 group.backward(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
-        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, None));
+        network.transmitter_terms_vjp(&weights, &conditions, 1.0, &into.transmitter_terms, (into.weights, None));
         d_weights
     };
     let actual = back(true);

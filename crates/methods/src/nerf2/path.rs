@@ -37,7 +37,8 @@ pub(crate) fn phase_turn_slope(turned: Real) -> Real {
 }
 
 impl PropagationLaw {
-    /// Returns the offset that is subtracted from the phases of emissions: those of powers and channels are in −π to π.
+    /// Returns the offset, radians, that is subtracted from the phases of emissions: π for powers and channels, whose phases are
+    /// in −π to π; 0 for spectra.
     pub(crate) fn phase_offset(self) -> Real {
         if self == Self::Spectrum { 0.0 } else { consts::PI }
     }
@@ -48,8 +49,8 @@ impl PropagationLaw {
     }
 
     /// Computes the complex factors `[n, 2]` from the samples of a ray to the receiver, given raw attenuations and phases
-    /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`]. The last sample of a
-    /// wave is not in use.
+    /// `[n]`. Returns the number of samples in use: those before the remaining amplitude falls below [`DARK`], without the last
+    /// sample of a wave. Other factors are unchanged.
     pub(crate) fn fill_factors(self, samples: &[Real], raw: [&[Real]; 2], factors: &mut [[Real; 2]]) -> usize {
         let [raw, raw_phase] = raw;
         // As released: the phase of a spectrum begins at 1 radian.

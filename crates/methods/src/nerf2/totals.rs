@@ -4,16 +4,19 @@ use crate::nerf2::group::{GroupLinks, Passes, RayGroup};
 use pwrfgs_core::{Call, MeasurementSetup, Real};
 use std::ops::Range;
 
+/// Scale of received powers as released, dB: |R| from 0 to 1 is −100 to 0 dBm.
+const POWER_SCALE: Real = 100.0;
+
 /// Converts sums R over rays `[L, pixels or bands]` to observations: pixels |R|, powers 100 |R| − 100 dBm, or channels R.
 pub(crate) fn observations(setup: &MeasurementSetup, totals: &[[Real; 2]]) -> Vec<Real> {
     if setup.task.is_complex {
         return pwrfgs_core::rows_of(totals, band_count(setup));
     }
     let size = totals.iter().map(|[re, im]| re.hypot(*im));
-    if setup.task.is_scalar { size.map(|size| 100.0 * size - 100.0).collect() } else { size.collect() }
+    if setup.task.is_scalar { size.map(|size| POWER_SCALE * size - POWER_SCALE).collect() } else { size.collect() }
 }
 
-/// Returns the cotangents of the sums, given those of the observations.
+/// Returns the cotangents of the sums, given those `d` of the observations; 0 for |R| at R = 0.
 pub(crate) fn observations_vjp(setup: &MeasurementSetup, totals: &[[Real; 2]], d: &[Real]) -> Vec<[Real; 2]> {
     if setup.task.is_complex {
         return pwrfgs_core::gains_of(d, band_count(setup));
@@ -23,7 +26,7 @@ pub(crate) fn observations_vjp(setup: &MeasurementSetup, totals: &[[Real; 2]], d
         if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
     };
     let each = totals.iter().zip(d).map(along);
-    if setup.task.is_scalar { each.map(|d| d.map(|d| 100.0 * d)).collect() } else { each.collect() }
+    if setup.task.is_scalar { each.map(|d| d.map(|d| POWER_SCALE * d)).collect() } else { each.collect() }
 }
 
 /// Adds up the sums of chunks (group, rays, sums), in order; returns the totals `[L, pixels or bands]`.

@@ -11,6 +11,8 @@ use std::ops::Range;
 
 /// Number of points per chunk, rounded to whole rays: see `rows_per_chunk` of the layers.
 const ROWS: usize = 192;
+/// Number of trunk layers in memory for predictions: input and output of the current layer.
+pub(crate) const PREDICTION_SLOTS: usize = 2;
 
 /// Rays of a receiver with the network and the transmitter inputs.
 #[derive(Debug)]
@@ -20,7 +22,7 @@ pub(crate) struct RayWalk<'a> {
     pub(crate) rays: RayBundle,
     pub(crate) law: PropagationLaw,
     /// Contribution of each transmitter to the signal network, `[B, width]`.
-    pub(crate) emission: &'a [Real],
+    pub(crate) transmitter_terms: &'a [Real],
 }
 
 /// Values of a chunk of rays that do not depend on the transmitter.
@@ -60,7 +62,7 @@ pub(crate) struct SignalActivations {
 pub(crate) struct Sums<'a> {
     pub(crate) weights: &'a mut [Real],
     /// Derivatives with respect to the contributions of the transmitters, `[B, width]`.
-    pub(crate) emission: Vec<Real>,
+    pub(crate) transmitter_terms: Vec<Real>,
 }
 
 impl SharedActivations {
@@ -77,7 +79,7 @@ impl SharedActivations {
 
 #[cfg(feature = "gpu")]
 impl SharedActivations {
-    /// Returns the values of the samples in use, of those `[features, rays, samples]` of a chunk.
+    /// Returns the values `[features, live]` of the samples in use, of all `[features, rays, samples]` of a chunk.
     pub(crate) fn select_live(&self, all: &[Real], samples: usize) -> Vec<Real> {
         let rows = all.chunks_exact((self.segments.len() * samples).max(1));
         let of_ray = |row: &'_ [Real]| -> Vec<Real> {
@@ -87,7 +89,8 @@ impl SharedActivations {
         rows.flat_map(of_ray).collect()
     }
 
-    /// Returns the values of all samples of a chunk `[features, rays, samples]`, given those in use; the others are 0.
+    /// Returns values `[features, rays, samples]` of all samples of a chunk, given those `[features, live]` of the samples in
+    /// use; the others are 0.
     pub(crate) fn spread_live(&self, live: &[Real], (features, samples): (usize, usize)) -> Vec<Real> {
         let mut all = vec![0.0; features * self.segments.len() * samples];
         let rows = all.chunks_exact_mut((self.segments.len() * samples).max(1));
@@ -119,8 +122,8 @@ impl RayWalk<'_> {
         (0..rays).step_by(size).map(move |first| first..(first + size).min(rays))
     }
 
-    /// Computes all values that do not depend on the transmitter. `slots` is 2 for predictions, or the number of trunk
-    /// layers for the backward pass.
+    /// Returns the values of a chunk that do not depend on the transmitter, and fills `trunk_activations`. `slots` is
+    /// [`PREDICTION_SLOTS`], or the number of trunk layers for the backward pass.
     pub(crate) fn shared_activations(
         &self,
         chunk: Range<usize>,
@@ -184,7 +187,7 @@ impl RayWalk<'_> {
         [band, self.band_count() + band].map(|row| &all[(row * rays + ray) * samples..][..samples])
     }
 
-    /// Computes the emission of the samples for the transmitters in the rows `locations`, one per ray.
+    /// Fills `signal` with the emission of the samples for the transmitters in the rows `locations`, one per ray.
     pub(crate) fn run_signal_network(
         &self,
         shared: &SharedActivations,
@@ -196,9 +199,9 @@ impl RayWalk<'_> {
         first.clone_from(&shared.hidden);
         for (feature, row) in first.chunks_exact_mut(live.max(1)).enumerate() {
             for (segment, tx) in shared.segments.iter().zip(locations) {
-                let emission = self.emission[tx * width + feature];
+                let term = self.transmitter_terms[tx * width + feature];
                 row[segment.clone()].iter_mut().for_each(|x| {
-                    let z = *x + emission;
+                    let z = *x + term;
                     *x = if z < 0.0 { 0.0 } else { z };
                 });
             }
@@ -253,8 +256,8 @@ impl RayWalk<'_> {
         d_raw
     }
 
-    /// Runs the backward pass of one [`Self::run_signal_network`], given cotangents `d` `[rays, bands]` of the sums. Adds to
-    /// `into`, and to the cotangents of the path factors and shared contributions.
+    /// Runs the backward pass of [`Self::run_signal_network`] and [`Self::ray_sums`], given cotangents `d` `[rays, bands]` of the
+    /// sums. Adds to `into`, and to the cotangents of the path factors and shared contributions.
     pub(crate) fn signal_network_vjp(
         &self,
         (shared, signal, locations): (&SharedActivations, &SignalActivations, &[usize]),
@@ -280,12 +283,13 @@ impl RayWalk<'_> {
                     d_hidden[i] += d_first;
                     sum += d_first;
                 }
-                into.emission[tx * width + feature] += sum;
+                into.transmitter_terms[tx * width + feature] += sum;
             }
         }
     }
 
-    /// Runs the backward pass of [`Self::shared_activations`], given the cotangents of the path factors and shared contributions.
+    /// Runs the backward pass of [`Self::shared_activations`], given the cotangents of the path factors and shared contributions;
+    /// adds to the weights in `into`.
     pub(crate) fn shared_activations_vjp(
         &self,
         (shared, trunk_activations): (&SharedActivations, &TrunkActivations),

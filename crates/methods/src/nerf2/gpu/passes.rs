@@ -17,7 +17,7 @@ pub(super) const ATTENUATION: usize = NETWORK + 3;
 /// Slots per ray: γ of the direction `[gamma, rays]`; contributions of the transmitters, and of transmitter and direction with
 /// the bias, `[width, rays]`; cotangents of the latter.
 const VIEWS: usize = NETWORK + 4;
-const EMISSION: usize = NETWORK + 5;
+const TRANSMITTERS: usize = NETWORK + 5;
 const SIDE: usize = NETWORK + 6;
 pub(super) const D_SIDE: usize = NETWORK + 7;
 /// Slots of the signal network: hidden layers, and raw emissions `[2 bands, R]` or their cotangents.
@@ -62,7 +62,7 @@ impl<'a> GpuNerf2<'a> {
         let chunk = width * on.rows;
         (sizes[FEATURE], sizes[FROM_FEATURE], sizes[ATTENUATION]) = (chunk, chunk, outputs * on.rows);
         sizes[VIEWS] = encoded_width(FREQUENCIES) * rays;
-        (sizes[EMISSION], sizes[SIDE]) = (width * rays, width * rays);
+        (sizes[TRANSMITTERS], sizes[SIDE]) = (width * rays, width * rays);
         (sizes[HIDDEN[0]], sizes[HIDDEN[1]], sizes[RAW]) = (chunk, width / 2 * on.rows, outputs * on.rows);
         if is_derived {
             (sizes[D_FROM_FEATURE], sizes[D_SIDE]) = (chunk, width * rays);
@@ -75,7 +75,8 @@ impl<'a> GpuNerf2<'a> {
         Ok(step)
     }
 
-    /// Runs the trunk for the samples of a chunk.
+    /// Runs the trunk and the following layers for the samples `points` of a chunk, in the network's unit: sets slots
+    /// [`ATTENUATION`], [`FEATURE`] and [`FROM_FEATURE`].
     pub(super) fn run_trunk(&self, step: &mut GpuStep<'_>, Chunk { on, .. }: Chunk<'_>, points: &[[Real; 3]]) {
         let Nerf2Network { attenuation, feature, .. } = self.network;
         step.upload(GAMMA, 0, &encode_chunk(points, FREQUENCIES));
@@ -87,15 +88,16 @@ impl<'a> GpuNerf2<'a> {
         on.apply(step, &self.network.feature_columns(), FEATURE, FROM_FEATURE, Epilogue::default());
     }
 
-    /// Runs the signal network of a chunk for the transmitters in the rows `locations` of `emission`, one per ray.
-    pub(super) fn run_signal(&self, step: &mut GpuStep<'_>, chunk: Chunk<'_>, emission: &[Real], locations: &[usize]) {
+    /// Runs the signal network of a chunk for the transmitters in the rows `locations` of `terms`, one per ray: reads slots
+    /// [`FROM_FEATURE`] and [`VIEWS`], sets slot [`RAW`].
+    pub(super) fn run_signal(&self, step: &mut GpuStep<'_>, chunk: Chunk<'_>, terms: &[Real], locations: &[usize]) {
         let (Nerf2Network { signal, emission: out, .. }, Chunk { on, rays }) = (self.network, chunk);
         let width = self.network.width();
-        let of_rays: Vec<Real> =
-            (0..width).flat_map(|feature| locations.iter().map(move |tx| emission[tx * width + feature])).collect();
-        step.upload(EMISSION, 0, &of_rays);
+        let ray_terms: Vec<Real> =
+            (0..width).flat_map(|feature| locations.iter().map(move |tx| terms[tx * width + feature])).collect();
+        step.upload(TRANSMITTERS, 0, &ray_terms);
         let (view, per_ray) = (self.network.view_columns(), |slot| Block::new(slot, 0, rays));
-        let side = Epilogue { plus: Some(EMISSION), bias: Some((WEIGHTS, signal[0].bias)), ..Epilogue::default() };
+        let side = Epilogue { plus: Some(TRANSMITTERS), bias: Some((WEIGHTS, signal[0].bias)), ..Epilogue::default() };
         let (outputs, inputs) = view.shape();
         step.product((outputs, rays, inputs), view.block(WEIGHTS), per_ray(VIEWS), per_ray(SIDE), side);
         step.bias_relu((width * rays, self.samples), FROM_FEATURE, (SIDE, 0), HIDDEN[0]);
@@ -110,12 +112,13 @@ impl<'a> GpuNerf2<'a> {
         );
     }
 
-    /// Writes γ of the directions of the rays.
+    /// Uploads γ of the directions of the rays to slot [`VIEWS`].
     pub(super) fn upload_views(step: &mut GpuStep<'_>, group: &RayGroup<'_>, rays: &Range<usize>) {
         step.upload(VIEWS, 0, &encode_chunk(&group.walk.rays.directions[rays.clone()], FREQUENCIES));
     }
 
-    /// Runs the backward pass of [`Self::run_signal`], given the cotangents in slot [`RAW`]; sets those in [`D_SIDE`].
+    /// Runs the backward pass of [`Self::run_signal`], given the cotangents in slot [`RAW`]: sets slot [`D_SIDE`], adds to
+    /// [`D_FROM_FEATURE`] and [`D_WEIGHTS`].
     pub(super) fn signal_vjp(&self, step: &mut GpuStep<'_>, Chunk { on, rays }: Chunk<'_>) {
         let (Nerf2Network { signal, emission: out, outputs, .. }, rows) = (self.network, on.rows);
         let width = self.network.width();
@@ -128,7 +131,7 @@ impl<'a> GpuNerf2<'a> {
         on.input_vjp(step, &signal[1].whole(), on.chunk(SPARE), D, mask(HIDDEN[0]));
         step.add(width * rows, D, D_FROM_FEATURE);
         step.clear(D_SIDE, width * rays);
-        // A sum over the samples of a ray takes one workgroup, so that each pass has whole features up to the limit.
+        // Each sum over the samples of a ray takes one workgroup: a pass has as many whole features as the limit allows.
         let together = WORKGROUPS / rays * rays;
         for first in (0..width * rays).step_by(together) {
             let features = together.min(width * rays - first);
@@ -139,7 +142,8 @@ impl<'a> GpuNerf2<'a> {
         step.add_row_sums((width, rays), (D_SIDE, 0), (D_WEIGHTS, signal[0].bias));
     }
 
-    /// Runs the backward pass of [`Self::run_trunk`], given the cotangents in slots [`ATTENUATION`] and [`D_FROM_FEATURE`].
+    /// Runs the backward pass of [`Self::run_trunk`], given the cotangents in slots [`ATTENUATION`] and [`D_FROM_FEATURE`]:
+    /// adds to [`D_WEIGHTS`] and to the slot of the folded biases.
     pub(super) fn trunk_vjp(&self, step: &mut GpuStep<'_>, Chunk { on, .. }: Chunk<'_>) {
         let Nerf2Network { attenuation, feature, outputs, .. } = self.network;
         let (width, columns) = (self.network.width(), self.network.feature_columns());
