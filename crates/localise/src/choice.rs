@@ -9,7 +9,8 @@ use rayon::prelude::*;
 const SHARPNESSES: [f64; 11] = [0.002, 0.008, 0.03, 0.125, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 /// Kernel widths to choose from, in units of the distance between neighbouring training positions.
 const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// Of this number of true positions, one may be outside its region: regions should hold 90 %.
+/// Of this number of true positions, one may be outside its region: regions should hold 90 %. They thus need nine samples,
+/// a number in the messages of [`Locator::missing_regions`](crate::Locator::missing_regions).
 const MISSED: usize = 10;
 /// Settings without validation samples: sharpness, and kernel width as in [`BANDWIDTHS`].
 const DEFAULTS: (f64, f64) = (4.0, 1.0);
@@ -57,7 +58,7 @@ pub(crate) struct ComparedSamples<'a> {
 
 impl ComparedSamples<'_> {
     /// Returns the settings with the highest mean log density at the true positions of the samples, for this `share` of the
-    /// model; default settings without samples. The scale is the median of the least misfits in `nearest`, or 1 if that is
+    /// model; default settings if no mean is finite. The scale is the median of the least misfits in `nearest`, or 1 if that is
     /// not above 0. `half_spacing` is half the distance of neighbouring positions, metres.
     pub(crate) fn most_likely_choice(&self, share: f32, half_spacing: f64) -> Choice {
         let Self { positions, samples, nearest } = *self;
@@ -90,12 +91,12 @@ impl ComparedSamples<'_> {
     pub(crate) fn region_level(&self, choice: Choice) -> Option<f32> {
         let Self { positions, samples, nearest } = *self;
         // The smallest of n values holds n/(n + 1) of new ones.
-        let last = ((samples.len() + 1) / MISSED).checked_sub(1)?;
+        let rank = ((samples.len() + 1) / MISSED).checked_sub(1)?;
         let level = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
             f64::from(choice.density(near, positions).grid().level_at([*x, *y]))
         };
         let levels = sorted(nearest.par_iter().zip(samples).map(level).collect::<Vec<f64>>());
-        Some(levels[last] as f32)
+        Some(levels[rank] as f32)
     }
 }
 

@@ -8,6 +8,8 @@ const HALVINGS: usize = 8;
 const END: f64 = 1e-4;
 /// Share of the expected decrease that a step must reach (Armijo).
 const ENOUGH: f64 = 1e-4;
+/// Curvature along a step below which it may be a rounding error and would spoil the Hessian.
+const FLAT: f64 = 1e-12;
 
 /// Returns the position of the least value that the descent from `start` finds, and this value. `scales` are the lengths
 /// along the axes over which the function is expected to change, metres; no step is longer. `function` returns value and
@@ -29,6 +31,7 @@ pub(crate) fn descend(
         let mut direction = inverse.map(|row| -dot(row, gradient));
         let mut slope = dot(direction, gradient);
         if slope.is_nan() || slope >= 0.0 {
+            // Not downhill: follows the gradient.
             (direction, slope) = (gradient.map(|g| -g), -dot(gradient, gradient));
         }
         let mut share = 1.0 / dot(direction, direction).sqrt().max(1.0);
@@ -58,7 +61,7 @@ pub(crate) fn descend(
 /// without positive curvature along the step.
 fn bfgs_update(inverse: [[f64; 3]; 3], step: [f64; 3], change: [f64; 3]) -> [[f64; 3]; 3] {
     let curvature = dot(step, change);
-    if curvature.is_nan() || curvature <= 1e-12 {
+    if curvature.is_nan() || curvature <= FLAT {
         return inverse;
     }
     let product = inverse.map(|row| dot(row, change));

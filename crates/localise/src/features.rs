@@ -23,11 +23,12 @@ pub struct FingerprintFeatures {
     height: usize,
     /// Side of a block of pixels.
     block: usize,
+    /// Added to a level before its root, see [`FAINTEST`].
     faintest: Real,
 }
 
 impl FingerprintFeatures {
-    /// Creates the features for the `training` links of `data`.
+    /// Creates the features of the observations of `data`. The `training` links give the mean power of channels.
     pub fn new(data: &Dataset, training: &[usize]) -> Self {
         let (task, width, height) = (data.task(), data.width, data.height);
         let block = if task.has_pixels {
@@ -58,7 +59,7 @@ impl FingerprintFeatures {
     /// Returns the number of features of an observation.
     pub fn count(&self) -> usize {
         if self.task.is_complex {
-            return self.width * self.height / 2;
+            return self.width * self.height / 2; // a gain has a real and an imaginary part
         }
         self.width.div_ceil(self.block) * self.height.div_ceil(self.block)
     }
@@ -71,7 +72,7 @@ impl FingerprintFeatures {
         self.levels(image).iter().map(|level| self.root(*level) as f32).collect()
     }
 
-    /// Returns the derivative by the pixels of the observation, given the derivative `d` by its features `[count]`.
+    /// Returns the derivative by the pixels of the observation `image`, given the derivative `d` by its features `[count]`.
     pub fn vjp(&self, image: &Image, d: &[f32]) -> Vec<Real> {
         if self.task.is_scalar {
             return d.iter().map(|d| Real::from(*d)).collect();
@@ -94,8 +95,8 @@ impl FingerprintFeatures {
         d_pixels
     }
 
-    /// Returns the levels before the root: the mean of every block, with negative pixels as 0, or the power of every
-    /// gain.
+    /// Returns the levels `[count]` before the root: the mean of every block, with negative pixels as 0, or the power of
+    /// every gain.
     fn levels(&self, image: &Image) -> Vec<Real> {
         let mut levels = vec![0.0; self.count()];
         if self.task.is_complex {
@@ -119,8 +120,8 @@ impl FingerprintFeatures {
         (y * self.width.div_ceil(b) + x, (side(x, self.width) * side(y, self.height)) as Real)
     }
 
-    /// Returns the feature of a level v: √(v + ε) with the faintest level ε; for channels, whose levels are powers, its
-    /// fourth root.
+    /// Returns the feature of a level v: √(v + ε) with the faintest level ε; for channels, whose levels are powers, the
+    /// fourth root of v + ε.
     fn root(&self, level: Real) -> Real {
         let root = (level + self.faintest).sqrt();
         if self.task.is_complex { root.sqrt() } else { root }

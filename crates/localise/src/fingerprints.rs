@@ -30,9 +30,9 @@ impl Readings {
         self.squares += deviation * (value - self.mean);
     }
 
-    /// Returns the weight of a squared difference from the mean, 1 for a single reading: inverse to v (1 + 1/n), the variance of
-    /// the difference between the mean and a new reading. v is the variance of these readings, drawn to the `variance` of
-    /// all links.
+    /// Returns the weight of a squared difference from the mean, 1 for at most one reading: inverse to v (1 + 1/n), the
+    /// variance of the difference between the mean and a new reading. v is the variance of these readings, drawn to the
+    /// `variance` of all links.
     fn weight(&self, variance: f32) -> f32 {
         let drawn = (PRIOR * variance + self.squares) / (PRIOR + self.count - 1.0);
         if self.count > 1.0 { 2.0 * variance / (drawn * (1.0 + 1.0 / self.count)) } else { 1.0 }
@@ -74,7 +74,7 @@ impl FingerprintBuilder<'_> {
         self.measured_at(&transmitters.iter().map(|t| vec![*t]).collect::<Vec<_>>())
     }
 
-    /// Returns the measured fingerprints of `groups` of [`Self::group_by_position`].
+    /// Returns the measured fingerprints, one per group of transmitters at one position.
     pub(crate) fn measured_at(&self, groups: &[Vec<usize>]) -> Fingerprints {
         self.build(groups, |links| {
             links.par_iter().map(|link| self.features.extract(&self.data.image(*link))).collect()
@@ -97,8 +97,8 @@ impl FingerprintBuilder<'_> {
         (VALUES / (self.data.width * self.data.height).max(1)).clamp(1, LINKS)
     }
 
-    /// Groups `transmitters` by position, so that repeated readings of powers make one fingerprint. Other observations stay
-    /// alone.
+    /// Groups `transmitters` by position, so that repeated readings of powers make one fingerprint. For other observations,
+    /// each transmitter is a group.
     pub(crate) fn group_by_position(&self, transmitters: &[usize]) -> Vec<Vec<usize>> {
         let (mut groups, mut indices): (Vec<Vec<usize>>, _) = (Vec::new(), BTreeMap::new());
         for &t in transmitters {
@@ -111,8 +111,8 @@ impl FingerprintBuilder<'_> {
         groups
     }
 
-    /// Creates one fingerprint per group of transmitters: the mean of all readings of each link, with [`Readings::weight`] as
-    /// the weight of squared differences from it. `link_features` returns the features of links.
+    /// Creates one fingerprint per group of transmitters: the mean of its readings at each receiver, with [`Readings::weight`]
+    /// as the weight of squared differences from it. `link_features` returns the features of links, in their order.
     fn build(&self, groups: &[Vec<usize>], link_features: impl Fn(&[usize]) -> Vec<Vec<f32>>) -> Fingerprints {
         let (data, count) = (self.data, self.features.count());
         let missing = if self.floor.is_finite() { self.floor } else { f32::NAN };
@@ -172,7 +172,8 @@ impl Fingerprints {
         &self.weights[first..][..self.width]
     }
 
-    /// Returns a mixture with a `share` of `other`, which has the same positions.
+    /// Returns a mixture with a `share` of the features of `other`, which has the same positions; the weights are those of
+    /// `self`.
     #[must_use]
     pub fn blended(&self, other: &Self, share: f32) -> Self {
         let values =
@@ -189,9 +190,9 @@ impl Fingerprints {
         Self { positions: kept.iter().map(|k| self.positions[*k]).collect(), values, weights, width: self.width }
     }
 
-    /// Returns the `count` fingerprints of least misfit, the weighted mean squared difference from an observation `[D]` over the
-    /// features that both contain: indices and misfits, least first; ties in the order of the positions. The misfit is
-    /// infinite without a common feature, and at the position `left_out`.
+    /// Returns the indices and misfits of the `count` fingerprints of least misfit, least first, ties in the order of the
+    /// positions. The misfit is the weighted mean squared difference from an observation `[D]` over the features that both
+    /// contain; it is infinite without a common feature, and at the position `left_out`.
     pub(crate) fn nearest(&self, observation: &[f32], count: usize, left_out: Option<[f64; 3]>) -> Vec<(u32, f32)> {
         let by_misfit = |a: &(u32, f32), b: &(u32, f32)| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0));
         let keep_nearest = |near: &mut Vec<(u32, f32)>| {
@@ -281,12 +282,12 @@ impl NearestFingerprints {
         best
     }
 
-    /// Returns the position of an observation, metres.
+    /// Returns the estimated position of the transmitter of an observation `[D]`, metres.
     pub fn locate(&self, observation: &[f32]) -> [f64; 3] {
         self.mean_position(&self.fingerprints.nearest(observation, self.k, None))
     }
 
-    /// Returns the mean position of fingerprints, metres.
+    /// Returns the mean position of fingerprints, metres; the origin for none.
     fn mean_position(&self, near: &[(u32, f32)]) -> [f64; 3] {
         let mut mean = [0.0; 3];
         for (neighbour, _) in near {

@@ -10,7 +10,7 @@
 //!
 //! * The density at the true positions chooses the sharpness s and the kernel width.
 //! * The mean error chooses the share of the model in the fingerprints, the kernels of the mode and whether to descend.
-//! * The level of the region holds nine of ten validation samples (the rank of split conformal prediction). That is no
+//! * At the level, regions hold nine of ten validation samples (the rank of split conformal prediction). That is no
 //!   guarantee for new samples, because the same samples choose the other settings.
 
 mod choice;
@@ -31,9 +31,9 @@ use pwrfgs_core::statistics::{mean, median};
 /// Maximum number of validation samples that choose settings and calibrate regions; of more, evenly spaced ones.
 pub const MOST_SAMPLES: usize = 1_000;
 
-/// Returns the mean and the median of position errors, metres; NaN without errors.
-pub fn mean_and_median(errors: Vec<f64>) -> [f64; 2] {
-    [mean(errors.iter().copied()), median(errors)]
+/// Returns the mean and the median of values, such as position errors; NaN for none.
+pub fn mean_and_median(values: Vec<f64>) -> [f64; 2] {
+    [mean(values.iter().copied()), median(values)]
 }
 
 #[cfg(test)]

@@ -80,7 +80,8 @@ impl Located {
 impl<'a> Locator<'a> {
     /// Fits to the training links `links.train` of `data`. `shares` are the shares of the model among which the
     /// validation links choose; without validation links the first is taken. A model that can leave samples out
-    /// ([`Predict::without`]), such as Kriging, is used without the validation links. `progress` counts links and samples.
+    /// ([`Predict::without`]), such as Kriging, is used without the validation links. `progress` counts predicted training
+    /// links, and validation samples per share as several links each.
     ///
     /// # Errors
     /// Data without positions or with a moving receiver, no `shares`, or an observation that cannot be read.
@@ -108,6 +109,7 @@ impl<'a> Locator<'a> {
         let predicted = shares.iter().any(is_used).then(|| builder.predicted(&groups, used, work));
         let samples = validation_samples(&builder.measured(&validation));
         let half_spacing = half_spacing(&measured.positions);
+        // The share, once chosen, replaces `choice`, `fingerprints` and `level`.
         let mut locator = Self {
             features,
             model,
@@ -123,7 +125,7 @@ impl<'a> Locator<'a> {
             level: None,
         };
         let error = locator.choose_share(shares, &measured, predicted.as_ref(), &samples, &|| work(EFFORT))?;
-        data.observations.check()?;
+        data.observations.check()?; // failed reads of spectra show only here
         locator.choose_descent(&samples, error);
         Ok(locator)
     }
@@ -137,8 +139,9 @@ impl<'a> Locator<'a> {
         chosen.par_iter().map(nearest).collect()
     }
 
-    /// Chooses the share of the model, with the level and the settings of the mode, by the mean error of validation
-    /// samples. Returns this error, metres; infinite without samples. `done` is called for every sample of a share.
+    /// Chooses the share of the model by the mean error of validation samples, and sets its fingerprints, level and
+    /// settings, without descent. Returns this error, metres, infinite without samples; an [`Error`] without `shares`.
+    /// `predicted` is `None` if no share is above 0. `done` is called for every sample of a share.
     fn choose_share(
         &mut self,
         shares: &[f32],
@@ -174,7 +177,8 @@ impl<'a> Locator<'a> {
         Ok(error)
     }
 
-    /// Restricts fingerprints and estimates to positions that satisfy `is_possible`, a convex area of the floor.
+    /// Restricts fingerprints and estimates to positions that satisfy `is_possible`, a convex area of the floor: modes are
+    /// weighted means of positions inside. Regions may reach beyond.
     ///
     /// # Errors
     /// No training position satisfies `is_possible`.
@@ -202,8 +206,9 @@ impl<'a> Locator<'a> {
         &self.fingerprints.positions
     }
 
-    /// Returns whether validation samples are as close to training positions as these are to each other. Regions then hold
-    /// 90 % of such samples; those of another day, device or area may resemble the training samples less.
+    /// Returns whether validation samples are about as close to training positions as these are to each other; `false`
+    /// without validation samples. Regions then hold 90 % of such samples; those of another day, device or area may
+    /// resemble the training samples less.
     pub fn validates_between_training(&self) -> bool {
         self.validation_distance <= 2.0 * BETWEEN * self.half_spacing
     }
@@ -222,7 +227,8 @@ impl<'a> Locator<'a> {
         }
     }
 
-    /// Returns the features of `transmitters` of `data` at all receivers, for [`Self::locate`].
+    /// Returns the features of each of `transmitters` of `data` at all receivers, as [`Self::locate`] needs them. A missing
+    /// link has the power [`Self::floor`], or NaN for spectra and channels.
     pub fn observations(&self, data: &Dataset, transmitters: &[usize]) -> Vec<Vec<f32>> {
         let measured = FingerprintBuilder { data, features: &self.features, floor: self.floor }.measured(transmitters);
         (0..measured.len()).map(|k| measured.row(k).to_vec()).collect()
@@ -234,7 +240,7 @@ impl<'a> Locator<'a> {
         self.locate_without(observation, None)
     }
 
-    /// Locates a transmitter as [`Self::locate`] does, without the training samples at the position `left_out`.
+    /// Locates a transmitter as [`Self::locate`] does, without the training samples at the position `left_out`, if any.
     pub fn locate_without(&self, observation: &[f32], left_out: Option<[f64; 3]>) -> Located {
         let raised = |v: &f32| if *v < self.floor { self.floor } else { *v };
         let observation = &observation.iter().map(raised).collect::<Vec<f32>>()[..];
@@ -245,7 +251,8 @@ impl<'a> Locator<'a> {
         Located { position, misfit: least_misfit(&near) / self.choice.scale, region }
     }
 
-    /// Returns the density over the floor and its region, given the fingerprints of least misfit.
+    /// Returns the density over the floor and its region, given the fingerprints of least misfit; the region of [`LEVEL`]
+    /// if too few validation samples set none.
     fn density_and_region(&self, near: &[(u32, f32)]) -> (Density, Region) {
         let density = self.choice.density(near, &self.fingerprints.positions);
         let region = density.grid().region(self.level.unwrap_or(LEVEL));
@@ -265,8 +272,9 @@ impl<'a> Locator<'a> {
         refined.filter(|position| is_in_part(position) && is_possible(position)).unwrap_or(mode)
     }
 
-    /// Returns the position of least misfit of the model near `start`, by descent; half the squared distance from `start`, in
-    /// units of `spread` and the half spacing, adds to the misfit. `None` if the model has no derivative by the position.
+    /// Returns the position of least misfit of the model near `start`, by descent. Half the squared distance from `start`, in
+    /// units of `spread` and the half spacing (both metres), adds to the misfit and keeps the position close. `None` if
+    /// the model has no derivative by the position.
     fn refined_position(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
         let scales = spread.map(|deviation| deviation.hypot(self.half_spacing));
         let gain = self.choice.sharpness / self.choice.scale;
@@ -283,7 +291,7 @@ impl<'a> Locator<'a> {
     /// `at`, metres, and its derivative by `at`; `None` if the model has no derivative.
     fn misfit_and_gradient(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
         let count = self.features.count();
-        let is_received = |v: &&f32| **v > self.floor; // false for NaN
+        let is_received = |v: &&f32| **v > self.floor; // false for NaN and a missing link
         let received = observation.iter().filter(is_received).count().max(1) as f64;
         let (mut sum, mut gradient) = (0.0, [0.0; 3]);
         for (receiver, features) in observation.chunks_exact(count).enumerate() {
@@ -306,8 +314,8 @@ impl<'a> Locator<'a> {
         Some((sum, gradient))
     }
 
-    /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples. Returns this error,
-    /// metres; infinite without samples.
+    /// Chooses the kernel width and the sharpness of the mode by the mean error of up to [`COMPARED`] validation samples.
+    /// Returns this error, metres; infinite without samples.
     fn choose_mode(&mut self, samples: &[ValidationSample]) -> f64 {
         let compared = self.compared_samples(samples);
         let chosen = self.choice;
@@ -324,7 +332,7 @@ impl<'a> Locator<'a> {
         best.0
     }
 
-    /// Turns descent on if it lowers the mean error of validation samples below `error`.
+    /// Turns descent on if it lowers the mean error of validation samples below `error`, metres, that without descent.
     fn choose_descent(&mut self, samples: &[ValidationSample], error: f64) {
         self.choice.descends = true;
         self.choice.descends = self.mean_error(&self.compared_samples(samples)) < error;
@@ -380,7 +388,8 @@ fn median_distance(samples: &[ValidationSample], positions: &[[f64; 3]]) -> f64 
     median(samples.iter().map(nearest))
 }
 
-/// Returns half the median distance of a position to its nearest neighbour, metres; at least 0.1 mm.
+/// Returns half the median distance of a position to its nearest neighbour, metres, leaving out duplicates; at least
+/// 0.1 mm, since kernels need a width.
 fn half_spacing(positions: &[[f64; 3]]) -> f64 {
     let distances = nearest_others(positions).into_iter().flatten().map(|other| other.0);
     let typical = median(distances.filter(|distance| *distance > 0.0));

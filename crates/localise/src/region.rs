@@ -8,12 +8,12 @@ use std::f64::consts::PI;
 pub(crate) const KERNELS: usize = 500;
 /// Largest number of kernels at which the maximum of a density is sought.
 const PEAKS: usize = 100;
-/// Number of cells along the longer side of the grid.
+/// Length of the longer side of the grid, cells; aligned with the origin, it may have one more.
 const CELLS: f64 = 64.0;
 /// Share of the weights whose positions are in the grid.
 const FRAMED: f64 = 0.999;
 /// Margin of the grid around these positions, kernel widths.
-const FRAME: f64 = 6.0;
+const MARGIN: f64 = 6.0;
 /// Largest number of steps towards a mode.
 const STEPS: usize = 200;
 /// Length of the last step towards a mode, kernel widths.
@@ -30,7 +30,7 @@ pub(crate) struct Density {
 }
 
 impl Density {
-    /// Creates the density with kernels, largest weight first; the weights are scaled to the sum 1.
+    /// Creates the density with kernels (weight, position), largest weight first, and scales the weights to the sum 1.
     pub(crate) fn new(mut kernels: Vec<(f64, [f64; 3])>, bandwidth: f64) -> Self {
         let sum: f64 = kernels.iter().map(|(w, _)| w).sum();
         kernels.iter_mut().for_each(|(w, _)| *w /= sum);
@@ -56,8 +56,8 @@ impl Density {
         sum / (PI * self.bandwidth * self.bandwidth)
     }
 
-    /// Returns the mode, by ascent from the position of the highest density among those of the largest weights; `None`
-    /// without kernels.
+    /// Returns the mode, by ascent from the densest of the [`PEAKS`] positions with the largest weights; `None` without
+    /// kernels.
     fn mode(&self) -> Option<[f64; 2]> {
         let peaks =
             self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]).map(|point| (self.value_at(point), point));
@@ -93,7 +93,7 @@ impl Density {
         [x / total, y / total, z / total]
     }
 
-    /// Returns the root mean square distances along the axes of the selected positions from a position, metres; 0
+    /// Returns, per axis, the weighted root mean square distance of the selected positions from `position`, metres; 0
     /// without any.
     pub(crate) fn spread(&self, position: [f64; 3], is_selected: impl Fn(&[f64; 3]) -> bool) -> [f64; 3] {
         let selected = || self.kernels.iter().filter(|(_, p)| is_selected(p));
@@ -102,13 +102,14 @@ impl Density {
         [0, 1, 2].map(|k| if sum > 0.0 { (square(k) / sum).sqrt() } else { 0.0 })
     }
 
-    /// Returns the grid of the density, around the kernels with most of the weight.
+    /// Returns the grid of the density, around the kernels with a share of [`FRAMED`] of the weights.
     pub(crate) fn grid(&self) -> Grid<'_> {
         let sums_before = self.kernels.iter().scan(0.0, |sum, (w, p)| Some((std::mem::replace(sum, *sum + w), p)));
         let framed: Vec<&[f64; 3]> = sums_before.take_while(|(sum, _)| *sum < FRAMED).map(|(_, p)| p).collect();
-        let reach = FRAME * self.bandwidth;
+        let reach = MARGIN * self.bandwidth;
         let ends = [0, 1].map(|k| bounds(framed.iter().map(|p| p[k])));
         let sides = ends.map(|(low, high)| high - low + 2.0 * reach);
+        // Cells need the step, and the highest value needs the cells.
         let mut grid =
             Grid { density: self, step: sides[0].max(sides[1]) / CELLS, low: [0; 2], high: [0; 2], highest: 1.0 };
         grid.low = grid.cell_at(ends.map(|(low, _)| low - reach));
@@ -144,17 +145,18 @@ impl Grid<'_> {
     /// one row at a time in 32 bits, for vector instructions; a value does not depend on the other cells.
     fn values(&self, low: [i64; 2], high: [i64; 2]) -> Vec<f32> {
         let (columns, rows) = ((high[0] - low[0] + 1) as usize, (high[1] - low[1] + 1) as usize);
-        let (mut across, mut values) = (vec![0.0_f32; columns], vec![0.0_f32; columns * rows]);
+        let (mut x_squares, mut values) = (vec![0.0_f32; columns], vec![0.0_f32; columns * rows]);
         for (w, p) in &self.density.kernels {
+            // Squared distance of row or column `k` from the kernel, kernel widths.
             let square = |axis: usize, k: usize| {
                 let r = ((low[axis] + k as i64) as f64 + 0.5) * self.step - p[axis];
                 (r / self.density.bandwidth).powi(2) as f32
             };
             let weight = *w as f32;
-            across.iter_mut().enumerate().for_each(|(k, x)| *x = square(0, k));
+            x_squares.iter_mut().enumerate().for_each(|(k, x)| *x = square(0, k));
             for (k, row) in values.chunks_exact_mut(columns).enumerate() {
                 let y = 1.0 + square(1, k);
-                for (value, x) in row.iter_mut().zip(&across) {
+                for (value, x) in row.iter_mut().zip(&x_squares) {
                     *value += weight / ((x + y) * (x + y));
                 }
             }
@@ -170,7 +172,7 @@ impl Grid<'_> {
         if is_on_grid { self.values(cell, cell)[0].min(1.0) } else { 0.0 }
     }
 
-    /// Returns the region with at least `level` of the highest density.
+    /// Returns the region of the cells with at least `level` of the highest density.
     pub(crate) fn region(&self, level: f32) -> Region {
         let values = self.values(self.low, self.high);
         let (columns, parts) = ((self.high[0] - self.low[0] + 1) as usize, vec![0; values.len()]);
@@ -209,14 +211,14 @@ impl Region {
         self.count as usize
     }
 
-    /// Returns the part of a cell in a column and a row, counted from 1; 0 outside.
+    /// Returns the part of the cell in a column and a row of the grid, counted from 1; 0 outside of the region.
     fn part_of_cell(&self, [column, row]: [i64; 2]) -> u16 {
         let is_on_grid = (0..self.columns as i64).contains(&column) && row >= 0;
         let cell = is_on_grid.then_some((row * self.columns as i64 + column) as usize);
         cell.and_then(|cell| self.parts.get(cell)).copied().unwrap_or(0)
     }
 
-    /// Returns the part at a point, counted from 1; 0 outside.
+    /// Returns the part at a point, counted from 1; 0 outside of the region.
     pub(crate) fn part_at(&self, point: [f64; 2]) -> u16 {
         self.part_of_cell([0, 1].map(|k| (point[k] / self.step).floor() as i64 - self.low[k]))
     }
@@ -226,7 +228,7 @@ impl Region {
         self.part_at(point) > 0
     }
 
-    /// Numbers the parts: flood fill over the cells with at least the level, from 1 in the order of cells.
+    /// Numbers the parts by flood fill over the cells with at least the level, from 1 in the order of their first cells.
     fn number_parts(&mut self) {
         let (columns, cells) = (self.columns, self.values.len());
         let is_inside = |k: usize| self.values[k] >= self.level;
@@ -262,10 +264,10 @@ impl Region {
         (1..=self.count).max_by(|a, b| sums[*a as usize].total_cmp(&sums[*b as usize])).unwrap_or(0)
     }
 
-    /// Returns the most probable part and its mode, with the mean height of the positions there, metres. The mode is that of
-    /// the kernels in the part, at a width of `bandwidth` and with weights to the power of `sharpness`. If it is outside of
-    /// the part, it is the mode of the same kernels with their own weights and the width of the density; if that is outside
-    /// too, the centre of the cell of the highest density in the part.
+    /// Returns the most probable part and its mode, metres, at the mean height of the positions around. The mode is that of
+    /// the kernels in the part, with width `bandwidth` and weights to the power of `sharpness`. If it is outside of the
+    /// part, it is the mode for the width and the weights of `density`; if this is outside too, the centre of the cell
+    /// with the highest density in the part.
     pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64, sharpness: f64) -> (u16, [f64; 3]) {
         let part = self.most_probable_part();
         let is_in_part = |point: [f64; 2]| self.part_at(point) == part;
@@ -303,7 +305,8 @@ impl Region {
         inside as f64 * self.step * self.step
     }
 
-    /// Returns the closed outlines, metres: counter-clockwise around parts, clockwise around holes.
+    /// Returns the closed outlines, metres, without a repeated first corner: counter-clockwise around parts, clockwise
+    /// around holes.
     pub fn outlines(&self) -> Vec<Vec<[f64; 2]>> {
         let (columns, rows) = (self.columns as i64, (self.parts.len() / self.columns.max(1)) as i64);
         // Edges of cells with the inside on their left, from corner to corner.
@@ -327,7 +330,7 @@ impl Region {
                 corners.push(next);
                 let [dx, dy] = [0, 1].map(|k| next[k] - at[k]);
                 at = next;
-                // To the left first, around the same cell: parts that touch at a corner have their own outlines.
+                // To the left first, around the same cell: parts that touch at a corner have separate outlines.
                 let ends = [[-dy, dx], [dx, dy], [dy, -dx]].map(|[x, y]| [at[0] + x, at[1] + y]);
                 next = ends.into_iter().find(|end| edges.contains(&[at, *end])).unwrap_or(start);
             }
