@@ -51,8 +51,8 @@ impl ReceiverGroup {
         self.links[0]
     }
 
-    /// Adds the cotangents of the pose of a moving receiver, by position (metres) and quaternion (x, y, z, w), which `pose_vjp`
-    /// returns, to those requested in `sums`.
+    /// Adds the cotangents of the pose of a moving receiver to those requested in `sums`. `pose_vjp` returns them, by position
+    /// (metres) and by quaternion (x, y, z, w).
     pub(crate) fn add_pose_vjp(&self, sums: &mut MethodVjp, pose_vjp: impl FnOnce() -> ([f64; 3], [f64; 4])) {
         let Some(positions) = &mut sums.positions else { return };
         let (d_position, d_orientation) = pose_vjp();
@@ -96,8 +96,8 @@ impl ReceiverGroup {
         }
     }
 
-    /// Returns the deformation terms of the transmitters of the group, and their range of transmitters: `deltas` itself
-    /// if contiguous, otherwise a copy. Each transmitter has `n` rows.
+    /// Returns deformation terms with `n` rows per transmitter, and the range of the transmitters of the group in them. The terms
+    /// are `deltas` itself if this range is contiguous there, otherwise a copy for the group alone.
     pub(crate) fn gather_terms<'a>(&self, deltas: &'a Deltas, n: usize) -> (Cow<'a, Deltas>, Range<usize>) {
         let first = self.rows[0];
         if self.rows.iter().enumerate().all(|(k, row)| *row == first + k) {
@@ -163,8 +163,7 @@ pub(crate) fn network_rows(deformation: &dyn Deformation, cloud: &GaussianCloud,
     (0..cloud.len()).filter(|&i| couples_all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
 }
 
-/// Returns the terms of the network and, if `is_training` without a `prepared` cache for predictions, its state for the
-/// backward pass.
+/// Returns the terms of the network, and its state for the backward pass if `is_training` and there is no `prepared` cache.
 pub(crate) fn network_terms(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,

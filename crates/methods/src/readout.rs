@@ -57,7 +57,7 @@ impl Readout {
         }
     }
 
-    /// Rejects a sky without a whole number of pixels, or a filter out of range.
+    /// Checks the settings of a received power.
     ///
     /// # Errors
     /// `sky_deg` or `filter_deg2` is out of range; the message states the valid values.

@@ -218,6 +218,7 @@ impl Method for SplattedChannel {
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let deformation = self.deformation.prepare(split_weights(setup, p.weights).0, &p.cloud.means, &setup.pose());
         let waves = |state: &ReceiverState| Arc::new(Waves::new(setup, *state, p));
+        // None for moving receivers.
         let waves = LinkInputs::of(0, setup).receivers.iter().map(waves).collect();
         Some(Arc::new(Ready { deformation, waves }))
     }

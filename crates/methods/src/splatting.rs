@@ -135,7 +135,7 @@ impl Splatting {
         }
     }
 
-    /// Returns the views of all receivers of the frame.
+    /// Returns the view of each receiver of the setup; that of a moving one is at the origin.
     pub fn views(&self, setup: &MeasurementSetup) -> Vec<ReceiverView> {
         let plane = self.sky(setup);
         setup.receivers.iter().map(|receiver| ReceiverView { pose: receiver.pose, plane: plane.clone() }).collect()
@@ -181,7 +181,7 @@ impl Splatting {
         BlendedSignals { batch, geometry, signals, render }
     }
 
-    /// Draws a group of links and reads it out; keeps the drawing if `is_training`.
+    /// Draws a group of links and reads it out. If `is_training`, keeps the drawing and clamps blended signals as released.
     fn draw_group(
         &self,
         call: &Call<'_>,

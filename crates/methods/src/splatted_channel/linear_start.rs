@@ -19,8 +19,8 @@ const MOST: usize = 8_000;
 
 impl SplattedChannel {
     /// Initialises the linear part of the deformation, the signals and the level, and returns `true`. Returns `false` and
-    /// changes nothing if the deformation has no linear part, for several receivers or a moving receiver, or without a
-    /// unique solution.
+    /// changes nothing if the deformation has no linear part, for several receivers or a moving receiver, without channels,
+    /// or without a unique solution.
     pub(super) fn start_linear(
         &self,
         setup: &MeasurementSetup,
@@ -125,10 +125,11 @@ fn solve_basis(responses: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>]) 
     Some(map.par_iter().flat_map_iter(coefficients).collect())
 }
 
-/// Returns the Cholesky factor of a symmetric matrix `[n,n]` with the ridge; `None` if it is not positive definite.
+/// Returns the Cholesky factor of a symmetric matrix `[n, n]` with [`RIDGE`] times the mean of its diagonal added to the
+/// diagonal; `None` if the sum is not positive definite.
 fn ridge_factor(mut a: Vec<f64>, n: usize) -> Option<Cholesky> {
     let mean = (0..n).map(|k| a[k * n + k]).sum::<f64>() / n.max(1) as f64;
-    (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE);
+    (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE); // above 0 for a zero matrix too
     Cholesky::new(a, n)
 }
 

@@ -164,12 +164,12 @@ impl Waves {
         });
     }
 
-    /// Returns the cotangents of position and orientation of the receiver, given those of the waves.
+    /// Returns the cotangents of position and orientation (x, y, z, w) of the receiver, given those of the waves.
     pub(super) fn pose_vjp(call: &Call<'_>, state: ReceiverState, d_waves: &[[Real; 2]]) -> ([f64; 3], [f64; 4]) {
         let Call { setup, parameters: Parameters { cloud, gate, .. }, .. } = *call;
         let frequencies = setup.frequencies_of(state.receiver);
         let (centre, mut d_position, mut d_rotation) = (DVec3::from(state.pose.position), DVec3::ZERO, DVec3::ZERO);
-        let antenna_waves = d_waves.chunks_exact(frequencies.len() * cloud.len());
+        let antenna_waves = d_waves.chunks_exact((frequencies.len() * cloud.len()).max(1));
         for (antenna, d_waves) in antenna_positions(setup, state).into_iter().zip(antenna_waves) {
             let mut d_antenna = DVec3::ZERO;
             for (hz, d) in frequencies.iter().zip(d_waves.chunks_exact(cloud.len())) {
@@ -185,5 +185,22 @@ impl Waves {
             d_rotation += (DVec3::from(antenna) - centre).cross(d_antenna);
         }
         (d_position.into(), state.pose.rotation_vjp(d_rotation.into()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{GaussianCloud, ImagePlane, LinkInputs, Origin, PixelSubset, Pose};
+
+    #[test]
+    fn pose_derivative_without_gaussians_is_zero() {
+        let setup = MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, ImagePlane::plain(1, 1));
+        let setup = MeasurementSetup { frequencies_hz: vec![1e9], ..setup };
+        let (cloud, links) = (GaussianCloud::zeros(0), LinkInputs::default());
+        let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &[] };
+        let call = Call { setup: &setup, parameters, links: &links, pixels: &PixelSubset::All };
+        let state = ReceiverState { receiver: 0, pose: Pose::IDENTITY };
+        assert_eq!(Waves::pose_vjp(&call, state, &[]), ([0.0; 3], [0.0; 4]));
     }
 }

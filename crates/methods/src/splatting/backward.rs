@@ -67,7 +67,7 @@ impl BackwardPass<'_> {
         let (receiver, activation) = (group.state.receiver, splatting.activation());
         let (network, laws) = splatting.split_weights(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
-        let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
+        let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2); // the order of `LAW`
         if let Some([d_offset, d_exponent]) = law {
             d_offsets[receiver] += d_offset;
             d_exponents[receiver] += d_exponent;

@@ -82,7 +82,7 @@ impl Splatting {
         Ok((mercator, readout))
     }
 
-    /// Returns the observations of all links.
+    /// Returns the observations `[L, H·W]` of all links.
     ///
     /// # Errors
     /// The GPU failed.
@@ -134,7 +134,7 @@ impl Splatting {
         let mut loss = 0.0;
         for (drawn, results) in groups.iter().zip(results.chunks_exact(RESULTS)) {
             let [_, losses, d_splats, d_rows] = [0, 1, 2, 3].map(|k| &results[k][..]);
-            loss += losses.chunks_exact(2).map(|link| weigh_loss(call, d, link)).sum::<Real>();
+            loss += losses.chunks_exact(2).map(|link| weigh_loss(d, link)).sum::<Real>();
             self.add_group(call, deltas, drawn, [d_splats, d_rows], grads, sums);
             let rows: Vec<usize> = (0..drawn.shape.gaussians).collect();
             let d_render = render_vjp(drawn, d_splats);
@@ -161,7 +161,7 @@ impl Splatting {
         (value, sums)
     }
 
-    /// Records the drawing of a group and its readout; `last` is the receiver row whose Gaussians were written last.
+    /// Records the drawing of a group and its readout; `last` is the receiver row whose Gaussians were uploaded last.
     fn record_drawing(
         &self,
         step: &mut GpuStep<'_>,
@@ -185,7 +185,8 @@ impl Splatting {
         groups: &[DrawnGroup],
     ) {
         if let Cotangents::OfLoss(loss) = d {
-            step.upload(LOSS, 0, &[&loss.window.taps()[..], &loss_shares(call, loss)].concat());
+            let shares = loss_shares(loss.ssim_weight, loss.truths.len());
+            step.upload(LOSS, 0, &[&loss.window.taps()[..], &shares].concat());
         }
         let (mut last, numbers) = (None, call.setup.value_count());
         for drawn in groups {
@@ -201,7 +202,7 @@ impl Splatting {
             shape.read_out_vjp(step);
             shape.blend_vjp(step);
             shape.project_vjp(step);
-            step.read(PIXELS, 2 * shape.links * shape.pixels(), shape.tiles());
+            step.read(PIXELS, 2 * shape.links * shape.pixels(), shape.tiles()); // lengths of the tile lists
             step.read(LOSSES, 0, 2 * shape.links);
             step.read(D_SPLATS, 0, shape.gaussians * shape.derivatives());
             step.read(D_ROWS, 0, shape.gaussians * WIDTHS[3]);
@@ -229,8 +230,8 @@ impl Splatting {
         groups
     }
 
-    /// Writes the inputs of a group, in depth order; Gaussians and view only if those of another receiver were written
-    /// last.
+    /// Uploads the inputs of a group, in depth order; Gaussians and view only if `last`, the receiver row of the previous upload,
+    /// differs.
     fn upload_group(
         &self,
         step: &mut GpuStep<'_>,
@@ -270,7 +271,8 @@ impl Splatting {
         step.upload(SIGNALS, 0, &sorted.copied().collect::<Vec<_>>());
     }
 
-    /// Adds the derivatives of a group by splats and by Gaussians.
+    /// Adds the derivatives of a group, given the rows of slots [`D_SPLATS`] and [`D_ROWS`], to `grads`; those by existence
+    /// factors to `sums`.
     fn add_group(
         &self,
         call: &Call<'_>,
@@ -305,16 +307,15 @@ impl Splatting {
     }
 }
 
-/// Returns the shares of the error and of 1-SSIM of a pixel in the loss.
-fn loss_shares(call: &Call<'_>, loss: &SpectrumLoss<'_>) -> [Real; 2] {
-    let numbers = (call.links.pairs.len() * call.setup.value_count()) as Real;
-    [(1.0 - loss.ssim_weight) / numbers, loss.ssim_weight / numbers]
+/// Returns the shares of the error and of 1-SSIM of a pixel in the loss of spectra with so many `pixels` in all.
+pub(super) fn loss_shares(ssim_weight: Real, pixels: usize) -> [Real; 2] {
+    [(1.0 - ssim_weight) / pixels as Real, ssim_weight / pixels as Real]
 }
 
-/// Returns the share of a link in the loss, given its two sums; 0 without a loss.
-fn weigh_loss(call: &Call<'_>, d: Cotangents<'_>, sums: &[Real]) -> Real {
+/// Returns the part of a link in the loss, given its sums of errors and of 1-SSIM; 0 for given cotangents.
+fn weigh_loss(d: Cotangents<'_>, sums: &[Real]) -> Real {
     let Cotangents::OfLoss(loss) = d else { return 0.0 };
-    loss_shares(call, loss).iter().zip(sums).map(|(share, sum)| share * sum).sum()
+    loss_shares(loss.ssim_weight, loss.truths.len()).iter().zip(sums).map(|(share, sum)| share * sum).sum()
 }
 
 /// Adds numbers to sums.

@@ -16,7 +16,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Names of the learned parameters of receivers of powers.
+/// Names of the learned parameters of receivers of powers, in the order of the weights.
 const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
@@ -210,8 +210,8 @@ impl Method for Splatting {
         Ok(Cow::Owned(sky))
     }
 
-    /// Returns the rows that may be visible for any output of the network: gate open, opacity above the limit of the
-    /// rasterizer, inside the view of the projector; all rows if the network couples them.
+    /// Returns the rows that may be visible for any output of the network: gate open, opacity not below the limit of the
+    /// rasterizer, inside the view of a fixed receiver; all rows if the network couples them.
     fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         let open = groups::network_rows(&*self.deformation, cloud, gate);
         if self.deformation.traits().couples_gaussians {
@@ -300,6 +300,7 @@ impl Method for Splatting {
     fn gaussians(&self, setup: &MeasurementSetup, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
         let (n, channels) = (p.cloud.len(), self.readout.channel_count());
         let strengths = |signals: &[Real]| {
+            // One image, whose pixels are the Gaussians.
             let planar: Vec<Real> =
                 (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
             if n == 0 { planar } else { self.readout.forward(&planar, n) }

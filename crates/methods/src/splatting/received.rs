@@ -57,9 +57,9 @@ fn integrate_power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
 pub(super) fn received_powers(plane: &ImagePlane, law: [Real; 2], distances: &[Real], blended: &[Real]) -> Vec<Real> {
     let (angles, [offset, exponent]) = (solid_angles(plane), law);
     let skies = blended.chunks_exact(2 * plane.width * plane.height).enumerate();
-    let dbm =
+    let bel =
         |(i, sky)| integrate_power(&angles, plane.width, sky).log10() + offset - exponent * log_distance(distances, i);
-    skies.map(|link| BEL * dbm(link)).collect()
+    skies.map(|link| BEL * bel(link)).collect()
 }
 
 /// Returns the cotangents of the blended signals, given those `d` `[L]` of the powers; adds to those of offset and
@@ -94,7 +94,7 @@ pub(super) fn distance_slope(exponent: Real, distance: Real) -> Real {
 
 impl Splatting {
     /// Initialises the path-loss term by a fit to the training set with equal signals in all directions: an offset per
-    /// receiver and one common exponent. A receiver without training links has the mean offset.
+    /// receiver and one common exponent. A receiver without links in the fit has the mean offset.
     pub(super) fn start_law(
         &self,
         setup: &MeasurementSetup,
@@ -127,8 +127,8 @@ impl Splatting {
     }
 }
 
-/// Returns offsets and n of the least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): n is the
-/// slope of the residuals after subtraction of the means per receiver.
+/// Returns offsets and n of the least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]). n is the
+/// negative slope of the residuals after subtraction of the means per receiver; 0 if x is constant per receiver.
 fn fit_path_loss(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     let mut sums = vec![[0.0; 3]; receivers];
     for (receiver, [x, y]) in rows {

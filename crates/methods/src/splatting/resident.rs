@@ -1,7 +1,7 @@
 //! Training steps of [`Splatting`] with [`Mlp`] whose parameters stay on the GPU: the host passes batches, and receives losses
 //! and the state after the last step.
 
-use super::gpu::view_constants;
+use super::gpu::{loss_shares, view_constants};
 use super::{ReceiverView, Splatting};
 use pwrfgs_core::{DeviceStep, DeviceStepper, GaussianCloud, MeasurementSetup, Real, Result, TrainingState};
 use pwrfgs_gpu::draw::{Drawing, GpuReadout, LISTS, LOSS, LOSS_LEN, LOSSES, TRUTHS, VIEW, VIEW_LEN};
@@ -92,7 +92,7 @@ impl ResidentSplatting<'_> {
     fn plan<'a>(&self, cloud: &GaussianCloud, steps: &'a [DeviceStep]) -> Plan<'a> {
         let gaussians = cloud.len();
         let drawing = ResidentMlp::slot_count(self.mlp);
-        let state = drawing + LOSSES + 1;
+        let state = drawing + LOSSES + 1; // `LOSSES` is the last slot of the drawing
         let resident = Resident { gaussians, channels: self.channels, drawing, state };
         let slots = ResidentSlots {
             means: resident.slot(STATE),
@@ -106,8 +106,7 @@ impl ResidentSplatting<'_> {
             let constants = inputs.len();
             inputs.extend(view_constants(self.mercator, &view_of(step)));
             inputs.extend(step.ssim.1.taps());
-            let numbers = step.truths.len() as Real;
-            inputs.extend([(1.0 - step.ssim.0) / numbers, step.ssim.0 / numbers]);
+            inputs.extend(loss_shares(step.ssim.0, step.truths.len()));
             let transmitters = inputs.len();
             let positions = step.links.conditions();
             for link in &step.links.pairs {
@@ -172,6 +171,7 @@ impl Plan<'_> {
     fn update(&self, step: &mut GpuStep<'_>, of_step: &DeviceStep) {
         let Self { resident, network, .. } = self;
         let mut start = 0;
+        // Widths of means, log scales, rotations, opacity logits and signals.
         for (update, width) in of_step.columns.iter().zip([3, 3, 4, 1, 2]) {
             let end = start + width * resident.gaussians;
             if let Some(update) = update {
@@ -190,7 +190,7 @@ impl Plan<'_> {
     fn losses(&self, results: &[Vec<Real>]) -> Vec<Real> {
         let mut of_links = results.chunks_exact(LINK_READS);
         let one = |(step, offsets): (&DeviceStep, &StepOffsets)| {
-            let shares = &self.inputs[offsets.transmitters - 2..];
+            let shares = &self.inputs[offsets.transmitters - 2..]; // of `loss_shares`, the last constants
             let sums = of_links.by_ref().take(step.links.pairs.len());
             sums.map(|of_link| shares[0] * of_link[1][0] + shares[1] * of_link[1][1]).sum()
         };
@@ -203,7 +203,7 @@ fn view_of(step: &DeviceStep) -> ReceiverView {
     ReceiverView { pose: step.setup.pose(), plane: step.setup.plane.clone() }
 }
 
-/// Records drawing, loss and their derivatives, and requests their results.
+/// Records drawing, loss and their derivatives for a link, and requests the [`LINK_READS`] results.
 fn draw_and_differentiate(step: &mut GpuStep<'_>, shape: &Drawing, of_step: &DeviceStep) {
     shape.project(step);
     shape.blend(step);
@@ -227,14 +227,15 @@ fn upload_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingSta
     step.upload(resident.slot(STATS), 0, &state.stats.columns().map(|(_, column)| column).concat());
 }
 
-/// Requests the [`STATE_READS`] results at the end.
+/// Requests the [`STATE_READS`] results at the end, in the layout of [`upload_state`].
 fn read_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingState<'_>) {
+    // Each value has two moments.
     step.read(resident.slot(STATE), 0, 3 * resident.parameters());
     step.read(ResidentMlp::WEIGHTS, 0, 3 * state.weights.len());
-    step.read(resident.slot(STATS), 0, 4 * resident.gaussians);
+    step.read(resident.slot(STATS), 0, state.stats.columns().len() * resident.gaussians);
 }
 
-/// Writes these results to the state.
+/// Writes the results that [`read_state`] requested to `state`.
 fn write_state(results: &[Vec<Real>], state: TrainingState<'_>) {
     let mut numbers = &results[0][..];
     let [first, second] = state.cloud_moments;

@@ -75,7 +75,7 @@ impl Splatting {
     }
 
     /// Returns the statistics of all links of a geometry together: the blending weights are equal, only `signals`
-    /// `[N, links · channels]` differ.
+    /// `[N, links · channels]` differ. These are `None` if no statistic reads them.
     fn shared_statistics(
         &self,
         view: &ReceiverView,
@@ -167,7 +167,7 @@ impl Splatting {
             stats.sensitivity = (splats.existence[i] * d.splats.existence[i]).powi(2);
             let ([x, y], [a, b, c]) = (d.splats.means2d[i], d.splats.conics[i]);
             let slopes = [x, y, a, b, c];
-            let pairs = (0..5).flat_map(|j| (j..5).map(move |k| (j, k)));
+            let pairs = (0..5).flat_map(|j| (j..5).map(move |k| (j, k))); // the order that `transform_fisher` reads
             stats.fisher.iter_mut().zip(pairs).for_each(|(v, (j, k))| *v = slopes[j] * slopes[k]);
         }
     }
@@ -216,7 +216,7 @@ fn fill_weights(statistics: &mut PassStatistics, splat_stats: &[SplatStats], [su
     fill_column(&mut statistics.signal_max, splat_stats, |i, splat| largest[i] * splat.weight);
 }
 
-/// Fills the requested statistics that differ per link, given the errors of its values.
+/// Fills the requested statistics that differ per link, given the absolute errors of the values of the link.
 fn fill_link_columns(
     statistics: &mut PassStatistics,
     splat_stats: &[SplatStats],
@@ -254,7 +254,7 @@ fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
 }
 
 /// Transforms Fisher information from splats to Gaussians: returns Jᵀ F J, the upper triangle of 6 × 6 numbers from that
-/// of 5 × 5.
+/// of 5 × 5, both row by row.
 fn transform_fisher(fisher: &[Real; 15], jacobian: &Jacobian) -> [Real; 21] {
     let mut full = [[0.0; 5]; 5];
     let mut entries = fisher.iter();
