@@ -19,7 +19,8 @@ impl Layout {
         self.weights.iter().map(WeightSpec::len).sum()
     }
 
-    /// Returns the ranges of the flat weight vector that [learn](WeightSpec::learns), as few as possible.
+    /// Returns the ranges of the flat weight vector that [learn](WeightSpec::learns). Adjacent tensors share a range
+    /// unless their weight decay differs.
     pub fn groups(&self) -> Vec<WeightGroup> {
         let (mut groups, mut first): (Vec<WeightGroup>, usize) = (Vec::new(), 0);
         for spec in &self.weights {
@@ -46,9 +47,9 @@ impl Layout {
         flat
     }
 
-    /// Draws dropout factors on the flat weight vector: they disable a share `rate` of the hidden units and multiply
-    /// the others by 1/(1 − rate), with one draw for all transmitters of a step. `None` if no layer is
-    /// [hidden](WeightSpec::hidden).
+    /// Draws dropout factors, one per number of the flat weight vector: a hidden unit gets 0 with probability `rate`
+    /// (below 1), and 1/(1 − rate) otherwise; all other weights get 1. All transmitters of a step share the draw.
+    /// `None` if no layer is [hidden](WeightSpec::hidden).
     pub fn draw_dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
         self.weights.iter().any(|spec| spec.hidden).then(|| {
             let (mut factors, mut units) = (Vec::with_capacity(self.weight_count()), Vec::new());

@@ -72,7 +72,7 @@ pub use geodetic::Geodetic;
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightGroup, WeightSpec};
-pub use memory::{check_memory, free_memory, memory_limit, peak_memory};
+pub use memory::{check_memory, free_memory, peak_memory};
 pub use method::{
     Activated, Appearance, Call, Cost, ForwardOutput, Method, MethodTraits, MethodVjp, Parameters, PixelSubset,
     SpectrumLoss, WantedInputs,

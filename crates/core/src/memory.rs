@@ -6,16 +6,17 @@ const MOST: u64 = 1 << 34;
 /// Amount that is accepted without asking the system, bytes: 64 MiB.
 const LITTLE: u64 = 1 << 26;
 
-/// Returns the memory that one reader or computation may hold, bytes: [`free_memory`], at most 16 GiB.
-pub fn memory_limit() -> u64 {
+/// Returns the memory that one reader or computation may hold, bytes: [`free_memory`], at most 16 GiB; 16 GiB if it is
+/// unavailable.
+fn memory_limit() -> u64 {
     free_memory().map_or(MOST, |bytes| bytes.min(MOST))
 }
 
-/// Rejects work that holds `bytes`, if they exceed [`memory_limit`] and 64 MiB.
+/// Rejects work that holds more than [`free_memory`] or 16 GiB. Work of up to 64 MiB is always accepted.
 ///
 /// # Errors
-/// The message begins with a verb: its subject, the file or the work, is left to the caller. It states both amounts and the
-/// next step, which is `advice`.
+/// The message begins with `needs`: the caller names the file or the work. It states both amounts and the next step, which is
+/// `advice`.
 pub fn check_memory(bytes: u64, advice: &str) -> Result<(), String> {
     if bytes <= LITTLE {
         return Ok(());
@@ -41,13 +42,14 @@ pub fn free_memory() -> Option<u64> {
     [machine, free_control_group_memory(), free_address_space()].into_iter().flatten().min()
 }
 
-/// Returns the bytes that follow `name` in a `text` of lines such as `VmHWM:  1234 kB`; `None` without such a line.
+/// Returns the bytes that follow `name` in a `text` of lines such as `VmHWM:  1234 kB`; `None` without such a line or
+/// amount.
 fn memory_entry(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Returns the remaining memory of the control group, bytes; `None` without a limit or a group of version 2.
+/// Returns the remaining memory of the control group, bytes; `None` without a limit, or without control groups of version 2.
 fn free_control_group_memory() -> Option<u64> {
     let groups = system_text("/proc/self/cgroup")?;
     let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
@@ -64,7 +66,7 @@ fn free_address_space() -> Option<u64> {
     Some(limit.saturating_sub(used))
 }
 
-/// Returns the text of a file of the system; `None` if there is none.
+/// Returns the text of a file of the system; `None` if it cannot be read.
 #[allow(clippy::disallowed_methods)] // files of the system never block
 fn system_text(path: &str) -> Option<String> {
     std::fs::read_to_string(path).ok()

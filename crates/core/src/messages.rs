@@ -22,8 +22,8 @@ pub fn join_names<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: 
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
-/// Returns a name on one line: control characters, which could change the state of a terminal, and controls of text
-/// direction become spaces.
+/// Returns a name on one line, without spaces at its ends: control characters, which could change the state of a terminal,
+/// and controls of text direction become spaces.
 pub fn strip_control(name: &str) -> String {
     name.chars().map(|c| if is_harmless(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
@@ -33,7 +33,7 @@ fn is_harmless(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// Returns a token of a file between backticks, cut to 60 characters.
+/// Returns a token of a file or a setting between backticks, as [`strip_control`] and cut to 60 characters.
 pub fn quoted(token: &str) -> String {
     let (cut, is_cut) = truncate(token, TOKEN);
     format!("`{}{}`", strip_control(cut), if is_cut { " .." } else { "" })
@@ -45,19 +45,19 @@ pub fn escape_control(text: &str) -> String {
     text.chars().map(|c| if is_harmless(c) || c == '\n' || c == '\t' { c } else { '\u{fffd}' }).collect()
 }
 
-/// Returns a message for users, as [`escape_control`], with long numbers as powers of ten, and without its middle if it
-/// repeats much of a file.
+/// Returns a message for users, as [`escape_control`], with long numbers as powers of ten. A message of more than 1,200
+/// characters, which repeats a file, loses its middle.
 pub fn sanitize_message(message: &str) -> String {
-    shorten(&shorten_numbers(message))
+    escape_and_shorten(&shorten_numbers(message))
 }
 
 /// Returns a path for users, as [`sanitize_message`] without its change of numbers.
 pub fn sanitize_path(path: &Path) -> String {
-    shorten(&path.display().to_string())
+    escape_and_shorten(&path.display().to_string())
 }
 
-/// Escapes control characters, and removes the middle of a message of more than [`MESSAGE`] characters.
-fn shorten(message: &str) -> String {
+/// Escapes control characters, and replaces the middle of a message of more than [`MESSAGE`] characters by ` .. `.
+fn escape_and_shorten(message: &str) -> String {
     let (start, is_long) = truncate(message, MESSAGE - END);
     let count = if is_long { message.chars().count() } else { 0 };
     if count <= MESSAGE {

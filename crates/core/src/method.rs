@@ -201,7 +201,7 @@ pub trait Method: crate::plugin::PluginObject {
     }
 
     /// Initialises the parameters that depend on the training links `train` of `data`, such as the offsets of
-    /// receivers.
+    /// receivers; by default, there are none.
     fn start(
         &self,
         setup: &MeasurementSetup,

@@ -22,7 +22,7 @@ pub trait Metric: crate::plugin::PluginObject {
         Ok(())
     }
 
-    /// Returns the measurement types that it supports: all, for metrics of the model.
+    /// Returns the measurement types that it supports; all by default.
     fn tasks(&self) -> &'static [Task] {
         &Task::ALL
     }

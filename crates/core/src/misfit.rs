@@ -238,12 +238,12 @@ impl Demand {
 }
 
 impl Misfit {
-    /// Returns the error with this message.
+    /// Returns [`Error::Config`] with this message.
     pub fn error(self) -> Error {
         Error::Config(self.to_string())
     }
 
-    /// Returns the object with which the message begins, such as a field of the pipeline.
+    /// Returns the start of the message up to `:` or `.`: the field of the pipeline to change, if it names one.
     pub fn field(&self) -> String {
         self.to_string().split([':', '.']).next().unwrap_or_default().to_owned()
     }

@@ -92,12 +92,13 @@ pub struct Nearest {
     boxes: Vec<f64>,
 }
 
-/// Largest number of positions in a box without halves, and of coordinates in a tree: those of a pose.
+/// Largest number of positions in a box without halves.
 const LEAF: usize = 16;
+/// Largest number of coordinates in a tree: those of [`crate::Pose::coordinates`].
 const WIDEST: usize = 9;
 
 impl Nearest {
-    /// Creates a lookup for samples with coordinates of `width` numbers each, in metres or any other unit.
+    /// Creates a lookup for samples; `position` returns the `width` coordinates of one, in metres or any other unit.
     pub fn new<P: AsRef<[f64]>>(samples: &[usize], width: usize, position: impl Fn(usize) -> P) -> Self {
         let (width, mut given) = (width.max(1), Vec::with_capacity(samples.len() * width));
         samples.iter().for_each(|&i| given.extend_from_slice(position(i).as_ref()));
@@ -122,8 +123,8 @@ impl Nearest {
         self.find(at, 1).1.first().map_or(f64::INFINITY, |nearest| nearest.0)
     }
 
-    /// Returns all samples exactly at `at`, and the `k` nearest, nearest first, with distances: fewer if there are not
-    /// enough, one if `k` is 0. Ties go to the lower sample index.
+    /// Returns all samples exactly at `at`, in their order in the list, and the `k` nearest, nearest first, with distances:
+    /// fewer if there are not enough, one if `k` is 0. Ties go to the lower sample index.
     pub fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
         self.find_where(at, k, |_| true)
     }
@@ -205,7 +206,7 @@ impl<'a, W: Fn(usize) -> bool> Search<'a, W> {
         Self { among, at, k: k.max(1), is_wanted, exact, near, limit, limit_squared: limit, compared: 0 }
     }
 
-    /// Adds a neighbour.
+    /// Adds a neighbour, removes the farthest of more than `k`, and updates the limit.
     fn insert(&mut self, distance: f64, sample: usize) {
         self.near.push((distance.to_bits(), sample));
         if self.near.len() > self.k {

@@ -33,7 +33,7 @@ impl Header {
     pub fn read(path: &Path, file: &mut dyn Read) -> Result<Self> {
         let damaged = |problem: &str| Error::input(path, format!("{problem}; write it with numpy.save"));
         let short = |_| damaged("is not a NumPy array, or is truncated");
-        let mut start = [0; 8];
+        let mut start = [0; 8]; // magic and version
         file.read_exact(&mut start).map_err(short)?;
         if !start.starts_with(MAGIC) {
             return Err(damaged("is not a NumPy array"));
@@ -95,7 +95,8 @@ impl Header {
     }
 }
 
-/// Returns the header of a file of `number`s, to which their bytes are appended, row-major and little endian.
+/// Returns the header of a file of `number`s, to which their bytes are appended, row-major and little endian. The types are
+/// those that [`Header::number`] reads.
 pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
     let descr = match number {
         Number::U8 => "|u1",
@@ -115,7 +116,7 @@ pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     // ends with a newline.
     let length = (10 + text.len() + 1).next_multiple_of(64) - 10;
     let mut bytes = MAGIC.to_vec();
-    bytes.extend([1, 0]);
+    bytes.extend([1, 0]); // version 1.0
     bytes.extend((length as u16).to_le_bytes());
     bytes.extend(format!("{text:<width$}\n", width = length - 1).into_bytes());
     bytes

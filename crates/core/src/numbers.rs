@@ -3,18 +3,12 @@
 /// Size from which numbers have an exponent: more digits are not measured, and 1e300 has 300.
 const LARGE: f64 = 1e15;
 
-/// Formats four significant digits, but only four decimals below 0.1, and whole numbers from 1,000. Integers from 10 to 1e15
-/// are in full; sizes below 1e-4 and from 1e15 have an exponent and three digits. NaN is `n/a`, infinity `∞`.
+/// Formats a number with four significant digits, below 0.1 with four decimals, and from 1,000 without decimals. Integers from
+/// 10 to 1e15 are in full; sizes below 1e-4 and from 1e15 have an exponent and three digits. NaN is `n/a`, infinity `∞`.
 pub fn number(value: f64) -> String {
     let size = value.abs();
-    if !value.is_finite() {
-        return if value.is_nan() {
-            "n/a".into()
-        } else if value > 0.0 {
-            "∞".into()
-        } else {
-            "−∞".into()
-        };
+    if let Some(text) = non_finite(value) {
+        return text.into();
     }
     if value.fract() == 0.0 && (10.0..LARGE).contains(&size) {
         return grouped(value as i64);
@@ -31,11 +25,12 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// Formats a number, not NaN, with the given decimals, or with as many as two significant digits need, up to six. Integers
-/// without decimals, and numbers that need more than six, keep the given decimals. Sizes from 1e15 have an exponent.
+/// Formats a number with `decimals` decimals, or with up to six if two significant digits need more. Sizes below 1e-5 keep
+/// `decimals`, and so do integers if it is 0. Without decimals, thousands are grouped. Sizes from 1e15 have an exponent. NaN is
+/// `n/a`, infinity `∞`.
 pub fn fixed(value: f64, decimals: usize) -> String {
-    if !value.is_finite() {
-        return if value > 0.0 { "∞".into() } else { "−∞".into() };
+    if let Some(text) = non_finite(value) {
+        return text.into();
     }
     if value.abs() >= LARGE {
         return format!("{value:.2e}").replace('-', "−");
@@ -47,6 +42,15 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     // Values rounded to 0 have no sign.
     let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
     if negative { format!("−{text}") } else { text }
+}
+
+/// Returns the text of NaN or an infinity; `None` for a finite number.
+fn non_finite(value: f64) -> Option<&'static str> {
+    match value {
+        v if v.is_finite() => None,
+        v if v.is_nan() => Some("n/a"),
+        v => Some(if v > 0.0 { "∞" } else { "−∞" }),
+    }
 }
 
 /// Formats an integer with groups of three digits: 65469 as `65,469`.
@@ -88,6 +92,6 @@ mod tests {
         ];
         let formatted = values.map(|(value, decimals)| fixed(value, decimals));
         assert_eq!(formatted, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000", "−1.00e300"]);
-        assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
+        assert_eq!([f64::INFINITY, f64::NEG_INFINITY, f64::NAN].map(|v| fixed(v, 3)), ["∞", "−∞", "n/a"]);
     }
 }

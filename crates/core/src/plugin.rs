@@ -75,7 +75,7 @@ where
     }
 }
 
-/// Any of the linked plugins, by name.
+/// Any of the linked plugins, by name; plugins without default values are left out.
 impl<T: ?Sized + PluginKind> JsonSchema for Plugin<T>
 where
     Box<T>: for<'de> Deserialize<'de>,
@@ -104,7 +104,7 @@ pub fn ron_options() -> ron::Options {
         .with_default_extension(Extensions::IMPLICIT_SOME)
 }
 
-/// Writes plain data as RON text with all names; [`read_ron`] restores it exactly.
+/// Writes plain data as RON text with all names; [`read_ron`] restores it exactly. Panics for other data: see [`try_to_ron`].
 pub fn to_ron(value: &impl Serialize) -> String {
     try_to_ron(value).expect("settings are plain data")
 }
@@ -140,13 +140,14 @@ pub fn title_of(plugin: &impl Serialize) -> String {
 /// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.
 ///
 /// # Errors
-/// [`Error::Input`](crate::Error::Input) with line and column if the text is not valid RON, has an unknown name, or
-/// lacks a field.
+/// [`Error::Input`](crate::Error::Input) with line and column if the text is not valid RON, has an unknown name or
+/// an invalid value, or lacks a field.
 pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
     ron_options().from_str(text).map_err(|e| crate::Error::at(path, e.span.end.line, e.span.end.col, explain(&e)))
 }
 
-/// Describes an error in RON text, with the nearest known name for a misspelt one.
+/// Describes an error in RON text, with the nearest known name for a misspelt one, and the command for a pipeline or experiment
+/// in place of another file.
 pub fn explain(error: &ron::error::SpannedError) -> String {
     use ron::Error::{
         ExpectedDifferentStructName, MissingStructField, NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier,

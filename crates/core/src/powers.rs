@@ -61,11 +61,12 @@ pub fn lone_values(powers: &[Real]) -> Vec<LoneValue> {
     codes
 }
 
-/// Finds values that more than 5 % of the powers have, and more than four times as many as the fourth most frequent value; none
-/// if there are fewer than four values. [`lone_values`] may be among them. NaN and infinities are ignored.
+/// Finds values of more than 5 % of the powers that are also more than four times as frequent as the fourth most frequent value;
+/// none if there are fewer than four values. [`lone_values`] may be among them. NaN and infinities are ignored.
 pub fn shared_values(powers: &[Real]) -> Vec<LoneValue> {
     let mut values = histogram(powers);
     values.sort_by_key(|entry| std::cmp::Reverse(entry.count));
+    // At most three values are notable, and readings repeat too: the fourth shows how often.
     let usual = values.get(3).map_or(usize::MAX, |entry| 4 * entry.count);
     let is_shared = |entry: &LoneValue| entry.count as f64 > SHARED * powers.len() as f64 && entry.count > usual;
     values.into_iter().take(3).filter(is_shared).collect()
@@ -94,7 +95,7 @@ fn take_ends(entries: &mut &[LoneValue], is_code: impl Fn(&LoneValue) -> bool) -
     codes
 }
 
-/// Lists the distinct values in ascending order, each with its distance to the nearest other one.
+/// Lists the distinct finite values in ascending order, each with its distance to the nearest other one.
 fn histogram(powers: &[Real]) -> Vec<LoneValue> {
     let mut order: Vec<usize> = (0..powers.len()).filter(|i| powers[*i].is_finite()).collect();
     order.sort_by(|a, b| powers[*a].total_cmp(&powers[*b]).then(a.cmp(b)));
@@ -127,7 +128,8 @@ pub enum PowerUnit {
 }
 
 impl PowerUnit {
-    /// Returns the units that `powers` probably have; none if they are plausible in dBm. Leave out [`lone_values`] first.
+    /// Returns the units that `powers` probably have; none if they are plausible in dBm, all 0, or if there are none. The floor
+    /// is an example. Leave out [`lone_values`] first.
     pub fn guess(powers: &[Real]) -> &'static [Self] {
         let values = || powers.iter().map(|value| *value as f64).filter(|value| value.is_finite());
         let (low, high) = crate::statistics::bounds(values());
@@ -139,6 +141,7 @@ impl PowerUnit {
         } else if low < 0.0 && median(values()) <= *RANGE_DBM.end() {
             &[]
         } else if high <= 100.0 {
+            // Up to 100, a percentage too.
             &[Self::PositiveDbm, Self::Percent, Self::OverFloor(-100.0)]
         } else if high <= -RANGE_DBM.start() {
             &[Self::PositiveDbm, Self::OverFloor(-100.0)]
@@ -147,7 +150,8 @@ impl PowerUnit {
         }
     }
 
-    /// Returns the value of the option `--unit`, the name in a sentence, and the conversion to dBm.
+    /// Returns the value of the option `--unit`, the name in a sentence, and the conversion to dBm. A floor is the example of
+    /// [`Self::guess`].
     pub fn words(self) -> [&'static str; 3] {
         match self {
             Self::Dbm => ["dBm", "dBm", "keep them"],

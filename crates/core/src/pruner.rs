@@ -21,7 +21,7 @@ pub trait Pruner: crate::plugin::PluginObject {
     }
 
     /// Returns the statistics for [`CloudStats::requested`] at a prune step, computed by a pass over training transmitters;
-    /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
+    /// none by default, or if they do not affect the decision. `cloud` is empty when the pipeline is checked.
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
         Needs::default()
     }
@@ -38,8 +38,8 @@ pub trait Pruner: crate::plugin::PluginObject {
         None
     }
 
-    /// Returns whether it acts between prune steps: by a gate, a penalty or an update. Only steps in which no pruner acts run on a
-    /// [device that keeps the parameters](crate::DeviceStepper).
+    /// Returns whether it acts between prune steps: by a gate, a penalty or an update. Only steps in which no pruner acts run on
+    /// a [device that keeps the parameters](crate::DeviceStepper).
     fn acts_between(&self) -> bool {
         true
     }
@@ -157,7 +157,8 @@ impl PruneTarget {
     }
 }
 
-/// Returns `context` for each pruner; only the first that supports a target receives [`StepContext::target`].
+/// Returns `context` for each pruner; only the first that supports a target, as in [`PruneTarget::of`], receives
+/// [`StepContext::target`].
 pub fn prune_contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
     let first = pruners.iter().position(|pruner| pruner.traits().budget.is_some());
     let context_of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };

@@ -45,7 +45,7 @@ pub fn sigmoid(x: Real) -> Real {
     if x >= 0.0 {
         1.0 / (1.0 + (-x).exp())
     } else {
-        let e = x.exp();
+        let e = x.exp(); // e⁻ˣ could overflow
         e / (1.0 + e)
     }
 }

@@ -37,7 +37,7 @@ pub fn normal_f64(rng: &mut Rng) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform_f64(rng)).cos()
 }
 
-/// Draws from the standard normal distribution; equal draws in both precisions.
+/// Draws from the standard normal distribution as [`normal_f64`], rounded to [`Real`].
 #[inline]
 pub fn normal(rng: &mut Rng) -> Real {
     normal_f64(rng) as Real

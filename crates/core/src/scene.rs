@@ -417,7 +417,8 @@ pub fn position_fault(position: [f64; 3]) -> Option<String> {
     position.into_iter().find_map(coordinate_fault)
 }
 
-/// Returns the error in a carrier frequency, Hz, with the next step; `None` if it is valid.
+/// Returns the error in a carrier frequency, Hz, with the next step; `None` if it is valid. Other numbers are probably in MHz or
+/// GHz.
 pub fn carrier_fault(hz: f64) -> Option<String> {
     (!(1e6..=1e12).contains(&hz)).then(|| format!("the carrier is {hz:?} Hz; give a frequency between 1e6 and 1e12 Hz"))
 }

@@ -62,7 +62,8 @@ impl MeasurementSetup {
         }
     }
 
-    /// Returns the query for the moving end at a position in the user's frame; a receiver has its usual orientation.
+    /// Returns the query for the moving end at a position in the user's frame and the receiver of an index. A receiver that moves
+    /// has its usual orientation.
     pub fn query(&self, position: [f64; 3], receiver: usize) -> Query<'static> {
         let orientation = match self.moving {
             End::Transmitter => Pose::IDENTITY.orientation,
@@ -102,8 +103,8 @@ impl MeasurementSetup {
         common.iter().map(moved).collect()
     }
 
-    /// Returns the inputs of these links, with `width` numbers per location. Consecutive links share them if pose, features and
-    /// carrier are equal.
+    /// Returns the network inputs of the links `queries`, with `width` numbers per location. Consecutive links share them if
+    /// pose, features and carrier are equal.
     ///
     /// # Panics
     /// If there is no receiver of the index of a query.
@@ -159,8 +160,8 @@ impl LinkInputs {
         Self { width, receivers, ..Self::default() }
     }
 
-    /// Adds the link of the last network inputs with a receiver of `setup`, which stands at `pose` if it moves (metres from
-    /// the origin).
+    /// Adds the link of the last network inputs, which must exist, with a receiver of `setup`; a receiver that moves is at `pose`
+    /// (metres from the origin).
     pub fn add_link(&mut self, setup: &MeasurementSetup, receiver: usize, pose: Pose) {
         let mut row = receiver;
         if setup.moving.is_receiver() {

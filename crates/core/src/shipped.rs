@@ -60,8 +60,8 @@ impl ShippedFile {
         Err(Error::input(path, problem))
     }
 
-    /// Returns the content for a file in any folder. It names other shipped files without a path. Its other paths are relative
-    /// to the folder of the file, and not to the repository.
+    /// Returns the content for use outside the repository: paths of shipped files become their names, and other paths lose `../`,
+    /// because they began in a folder of the repository.
     pub fn text(&self) -> String {
         let mut text = self.source.to_owned();
         for Self { folder, name, .. } in inventory::iter::<Self>() {

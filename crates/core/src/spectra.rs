@@ -68,7 +68,7 @@ impl Number {
         }
     }
 
-    /// Writes every `stride`-th value to `out` as a pixel; 1 is the strongest direction.
+    /// Writes every `stride`-th value to `out` as a pixel, divided by [`Self::full_scale`].
     fn write_pixels(self, bytes: &[u8], stride: usize, out: &mut [Real]) {
         match self {
             Self::U8 => write_strided(bytes, stride, out, |v| Real::from(v) / 255.0),
@@ -297,7 +297,7 @@ impl Stored {
         Ok(Self { file, path: path.into(), offset, len, fault: OnceLock::new() })
     }
 
-    /// Reads all bytes.
+    /// Reads all bytes from the offset.
     fn read_all(&self) -> Result<Vec<u8>> {
         let read = || {
             let (mut bytes, len) = (Vec::new(), (self.len - self.offset) as usize);
@@ -308,7 +308,8 @@ impl Stored {
         read().map_err(|e| Error::read(&self.path, e))
     }
 
-    /// Reads `len` bytes from `start`; returns zeros if they cannot be read, which [`Self::check`] reports.
+    /// Reads `len` bytes, `start` bytes after the offset; returns zeros if they cannot be read, which [`Self::check`]
+    /// reports.
     fn read_part(&self, start: u64, len: usize) -> Vec<u8> {
         let mut bytes = vec![0; len];
         if let Err(e) = read_exact_at(&self.file, &mut bytes, self.offset + start) {

@@ -108,7 +108,7 @@ impl Splats {
         self.means2d.is_empty()
     }
 
-    /// Creates N rows of zeros for gradients.
+    /// Creates N rows of zeros for gradients, without [`Self::existence`].
     pub fn zeros(n: usize) -> Self {
         Self {
             means2d: vec![[0.0; 2]; n],
@@ -131,6 +131,7 @@ impl Splats {
             for mean in &mut self.means2d {
                 *mean = [(mean[0] - offset[0] as Real) / s, (mean[1] - offset[1] as Real) / s];
                 if plane.wraps && mean[0] < 0.0 {
+                    // Columns before the offset are the last ones of the full circle.
                     mean[0] += plane.width as Real;
                 }
             }

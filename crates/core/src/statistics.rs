@@ -6,13 +6,13 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     sum / count
 }
 
-/// Returns the standard deviation of values from their mean; NaN without values.
+/// Returns the standard deviation of values about their mean, with divisor N; NaN without values.
 pub fn deviation(values: &[f64]) -> f64 {
     let middle = mean(values.iter().copied());
     mean(values.iter().map(|value| (value - middle).powi(2))).sqrt()
 }
 
-/// Returns at most `count` of the `items`, evenly spaced.
+/// Returns at most `count` of the `items`, evenly spaced from the first.
 pub fn evenly<T: Clone>(items: &[T], count: usize) -> Vec<T> {
     let n = items.len().min(count);
     (0..n).map(|i| items[i * items.len() / n].clone()).collect()
@@ -23,7 +23,7 @@ pub fn bounds(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }
 
-/// Returns the values in ascending order.
+/// Returns the values in ascending order; NaN is last, or first if its sign is negative.
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     values.sort_by(f64::total_cmp);

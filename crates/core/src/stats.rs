@@ -17,7 +17,7 @@ pub enum Phase {
 }
 
 impl Phase {
-    /// Returns the lower-case name.
+    /// Returns the lower-case name, as serde writes it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Densify => "densify",
@@ -285,7 +285,8 @@ impl PassStatistics {
         zeros
     }
 
-    /// Adds the statistics of other links for the Gaussians `rows` (those of `other`).
+    /// Adds the statistics that `other` has of other links; its row k belongs to the Gaussian `rows[k]`. The elimination is no
+    /// sum and is not changed.
     pub fn merge(&mut self, rows: &[usize], other: &Self) {
         self.links += other.links;
         let sums = [

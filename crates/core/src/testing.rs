@@ -21,7 +21,7 @@ pub fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// Reads shape and values of a NumPy array: floats, bytes, integers of 64 bits, booleans.
+/// Reads shape and values, in the order of the file, of a NumPy array: floats, bytes, integers of 64 bits, booleans.
 ///
 /// # Panics
 /// For any other array.

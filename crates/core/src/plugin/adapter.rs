@@ -36,6 +36,8 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Tagged<B> {
         unit unit_struct newtype_struct seq tuple tuple_struct map struct enum identifier ignored_any
     }
 }
+
+/// Entry of [`Tagged`]: key and value are taken one after the other.
 struct Entry<B> {
     name: Option<String>,
     body: Option<B>,
@@ -77,6 +79,7 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
 
 /// Rejects unknown fields with their position and the nearest name. Errors that pass through typetag's type-erased
 /// deserializer are plain text, from which names cannot be extracted.
+/// It wraps the visitor of the plugin, then the map of its fields, then each key.
 struct FieldChecker<W> {
     inner: W,
     /// Name of the plugin.

@@ -159,6 +159,7 @@ impl Columns for Channels {
 /// Moves row `order[i]` of `width` values to row i, and removes all other rows. Each row occurs at most once.
 pub(super) fn select_rows<T>(values: &mut Vec<T>, width: usize, order: &[usize]) {
     let rows = values.len() / width;
+    // Row in each slot, and slot of each row.
     let (mut row_at, mut slot_of): (Vec<usize>, Vec<usize>) = ((0..rows).collect(), (0..rows).collect());
     for (slot, &row) in order.iter().enumerate() {
         let from = slot_of[row]; // at `slot` or behind it, because earlier slots have other rows

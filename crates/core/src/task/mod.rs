@@ -157,12 +157,12 @@ impl Description {
         (self.level)(image)
     }
 
-    /// Returns the first metric of one prediction.
+    /// Returns the first metric, [`Self::headline`], of one prediction.
     pub fn score(&self, prediction: &Image, truth: &Image) -> f64 {
         (self.score)(prediction, truth)
     }
 
-    /// Returns the SSIM of a prediction as it is shown; `None` without pixels.
+    /// Returns the SSIM of a prediction from [`Self::shown`]; `None` without pixels.
     pub fn ssim(&self, prediction: &Image, truth: &Image) -> Option<f64> {
         self.has_pixels.then(|| ssim::evaluation(prediction, truth))
     }
