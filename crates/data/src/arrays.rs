@@ -71,11 +71,12 @@ impl DataSource for Arrays {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
-    /// Loads the folder. Files are checked in the order of their size, so that errors of small files come first.
+    /// Loads the folder. Positions, index files and points are checked before the values of the spectra, which take longest.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = existing_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
         let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
+        // Without any of the three files, the error names tx.npy.
         let locations = if !root.join(POSES).exists() && (npy.exists() || !csv.exists()) {
             let poses = npy::read_positions(&npy)?.into_iter().map(Pose::from).collect();
             LocationTable { name: "tx.npy".into(), moving: End::Transmitter, poses }
@@ -122,8 +123,8 @@ impl DataSource for Arrays {
     }
 }
 
-/// Returns the spectra of the file `path`, in memory if they are small, or an error for the first float spectrum with an
-/// invalid value.
+/// Returns the spectra of the file `path`, in memory if they have at most [`IN_MEMORY`] bytes. Returns an error for the first
+/// float spectrum with an invalid value, or if the file cannot be read. `progress` counts spectra.
 fn validate_spectra(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
     let bytes = spectra.len() * spectra.width() * spectra.height() * spectra.number().bytes();
     let spectra = if bytes as u64 <= IN_MEMORY { spectra.into_memory()? } else { spectra };

@@ -1,6 +1,7 @@
 //! Baselines: predictors without Gaussians, to compare models with.
 //!
-//! This module holds the mean, the zero channel, and `ByReceiver`, which fits one predictor per receiver.
+//! This file holds the mean, the zero channel, `ByReceiver`, which fits one predictor per receiver, and what several baselines
+//! share.
 
 mod kriging;
 #[cfg(test)]
@@ -67,18 +68,6 @@ fn fitting_samples(fitting: FittingSet<'_>) -> Result<Vec<usize>> {
     Ok(samples)
 }
 
-/// Returns the samples to choose hyperparameters with: (training samples, samples to predict). If one of the two sets is
-/// empty, every tenth sample of the other is held out; with fewer than two samples none is.
-fn selection_sets(fitting: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
-    const EVERY: usize = 10;
-    if !fitting.validation.is_empty() && !fitting.train.is_empty() {
-        return (fitting.train.to_vec(), fitting.validation.to_vec());
-    }
-    let links = fitting.all();
-    let samples = |out: bool| links.iter().enumerate().filter(move |(k, _)| (k % EVERY == 1) == out).map(|(_, i)| *i);
-    (samples(false).collect(), samples(true).collect())
-}
-
 /// Predictor that returns the same image for every query.
 struct Constant(Image);
 
@@ -98,8 +87,8 @@ impl ReceiverPredictor for Constant {
     }
 }
 
-/// Returns the weighted mean of the observations of samples; `weighted` has their indices and weights, which need not sum
-/// to one.
+/// Returns the weighted mean of observations; `weighted` has the index and the weight of each sample, at least one. Weights
+/// need not sum to one.
 fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
     let mut sum = vec![0.0; data.width * data.height];
     for &(i, weight) in weighted {
@@ -113,7 +102,8 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
 /// Predictor fitted to the links of one receiver.
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub(super) trait ReceiverPredictor: Predict + Sized {
-    /// Returns the note below a table of scores for the predictors of all receivers, by name; `None` without a note.
+    /// Returns the note below a table of scores for the predictors of all receivers with training links, each after the name
+    /// of its receiver; `None` without a note.
     fn combined_note(predictors: &[(&str, &Self)]) -> Option<String>;
 
     /// Returns the predictor without these links, as [`Predict::without`]; `None` also if no sample remains.
@@ -131,8 +121,8 @@ pub(super) struct ByReceiver<P> {
 }
 
 impl<P: ReceiverPredictor> ByReceiver<P> {
-    /// Fits one predictor per receiver with `fit`; a single receiver is fitted to all links unchanged. Returns an error of
-    /// `fit`, or if the flag of `fitting` ends the fit.
+    /// Fits one predictor with `fit` to the links of each receiver, and one to all links if a receiver has none. Returns an
+    /// error of `fit`, or if the flag of `fitting` ends the fit.
     fn fit(data: &Dataset, fitting: FittingSet<'_>, fit: impl Fn(FittingSet<'_>) -> Result<P>) -> Result<Self> {
         let receivers = &data.scene.receivers;
         let by_receiver =
@@ -140,7 +130,7 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
         let fit_receiver = |r: usize| {
             fitting.check_stopped()?;
             let links = FittingSet { train: &by_receiver[0][r], validation: &by_receiver[1][r], ..fitting };
-            // If there is nothing to fit, `fit` returns the error.
+            // If the only receiver has no links, `fit` returns the error.
             let is_unlinked = links.train.is_empty() && links.validation.is_empty() && receivers.len() > 1;
             Ok((strip_control(&receivers[r].name), if is_unlinked { None } else { Some(fit(links)?) }))
         };
@@ -149,7 +139,8 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
         Ok(Self { predictors, pooled })
     }
 
-    /// Returns the predictor of a receiver; without one, that of all links, else that of the first receiver with one.
+    /// Returns the predictor of a receiver; without one, that of all links, else that of the first receiver with one. The last
+    /// applies to an unknown receiver, and after [`Predict::without`].
     fn predictor_for(&self, receiver: usize) -> &P {
         let fitted = self.predictors.get(receiver).and_then(|(_, fitted)| fitted.as_ref());
         let any = || self.predictors.iter().find_map(|(_, fitted)| fitted.as_ref());

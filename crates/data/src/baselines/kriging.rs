@@ -163,8 +163,8 @@ impl<'a> Trend<'a> {
         Ok((correlation, cases.variance(&correlation)))
     }
 
-    /// Returns at most about `most` values of the residual of link `i`: every n-th column of every n-th row of a spectrum, the
-    /// first values of a channel.
+    /// Returns at most about `most` values, at least one, of the residual of link `i`: every n-th column of every n-th row of a
+    /// spectrum, the first values of a channel.
     pub fn residual_values(&self, i: usize, most: usize) -> Vec<Real> {
         let Dataset { width, height, .. } = *self.data;
         let stride = ((width * height) as f64 / most as f64).sqrt().ceil().max(1.0) as usize;
@@ -248,8 +248,8 @@ impl<'a> Process<'a> {
         self.kriging.solve(self.query_place(query), self.settings.neighbours)
     }
 
-    /// Returns the position of a query in space and time. Without an id, its time is that of the nearest sample in space;
-    /// for a process over position alone, its time is not used.
+    /// Returns the position of a query, metres from the origin, and its time, which is its id; without an id, the time of the
+    /// nearest sample in space. The time is 0 for a process over position alone.
     fn query_place(&self, query: Query<'_>) -> Place {
         let [x, y, z] = self.trend.data.scene.origin.local(query.position()).map(|v| v as f64);
         let Some(in_space) = &self.in_space else { return [x, y, z, 0.0] };

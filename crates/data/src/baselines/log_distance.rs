@@ -6,7 +6,7 @@ use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Baseline, Dataset, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Task};
 use serde::{Deserialize, Serialize};
 
-/// Links that a receiver needs for its own fit.
+/// Number of links that a receiver needs for a fit of T and gamma.
 const FEW: usize = 3;
 
 /// Path-loss model fitted by least squares: RSSI = T - 10 gamma log10(d), d in metres from transmitter to receiver.
@@ -59,6 +59,7 @@ impl Baseline for LogDistance {
             _ => pooled,
         };
         let by_receiver = groups.iter().zip(levels).map(fit).collect();
+        // An offset needs one link; without either setting, no receiver needs any.
         let enough = if self.per_receiver { FEW } else { usize::from(self.offset) };
         let names = data.scene.receivers.iter().map(|receiver| strip_control(&receiver.name));
         let borrowed = names.zip(&groups).filter(|(_, points)| points.len() < enough).map(|(name, _)| name).collect();
@@ -74,7 +75,7 @@ impl Baseline for LogDistance {
 struct PathLosses<'a> {
     data: &'a Dataset,
     by_receiver: Vec<PathLoss>,
-    /// Receivers with too few links for their own fit.
+    /// Names of the receivers with too few links for their own fit.
     borrowed: Vec<String>,
 }
 

@@ -1,6 +1,6 @@
 //! `NearestNeighbours`: mean of the nearest training samples. `NearestCarrier`: the observation at the nearest carrier.
 
-use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, fitting_samples, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
     Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, SiteSize,
@@ -149,6 +149,19 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     Ok(CHOICES[(1..CHOICES.len()).fold(0, |best, c| if total(c) > total(best) { c } else { best })])
 }
 
+/// Returns the samples to choose k with: (training samples, samples to predict). If one of the two sets is empty, every
+/// tenth sample of the other is held out; with fewer than two samples none is.
+fn selection_sets(fitting: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
+    const EVERY: usize = 10;
+    if !fitting.validation.is_empty() && !fitting.train.is_empty() {
+        return (fitting.train.to_vec(), fitting.validation.to_vec());
+    }
+    let is_held_out = |k: usize| k % EVERY == 1; // the second, so that the first remains for training
+    let (held_out, train): (Vec<_>, Vec<_>) = fitting.all().into_iter().enumerate().partition(|(k, _)| is_held_out(*k));
+    let samples = |numbered: Vec<(usize, usize)>| numbered.into_iter().map(|(_, i)| i).collect::<Vec<usize>>();
+    (samples(train), samples(held_out))
+}
+
 /// Nearest-neighbour lookup in the training samples.
 struct Lookup<'a> {
     data: &'a Dataset,
@@ -161,7 +174,7 @@ struct Lookup<'a> {
 impl<'a> Lookup<'a> {
     /// Creates a lookup of the `k` nearest among `samples`.
     fn new(data: &'a Dataset, samples: &[usize], k: usize) -> Self {
-        // As many numbers as `link_coordinates` returns.
+        // The number of coordinates that `link_coordinates` returns.
         let pose_width = if data.scene.moving.is_receiver() { 9 } else { 3 };
         let width = data.features.as_ref().map_or(pose_width, |features| features.width);
         Self {
@@ -172,8 +185,8 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Returns the samples to average for a link at `coordinates`, with their weights: all that lie exactly there (`true`),
-    /// else the k nearest (`false`); only those whose index in the list of samples `is_wanted`.
+    /// Returns the samples to average for a link at `coordinates`, with their weights, and whether they are exactly there: all
+    /// such samples, else the k nearest. Only those whose index in the list of samples `is_wanted`.
     fn weighted_neighbours(&self, coordinates: &[f64], is_wanted: impl Fn(usize) -> bool) -> (bool, Vec<(usize, f64)>) {
         let (exact, near) = self.nearest.find_where(coordinates, self.k, is_wanted);
         if exact.is_empty() {
@@ -187,8 +200,8 @@ impl<'a> Lookup<'a> {
     /// [`CHOICES`]; higher is better. Empty without others.
     fn scores(&self, i: usize, is_other: impl Fn(usize) -> bool) -> Vec<f64> {
         let truth = self.data.image(i);
-        // Samples at the exact position all count, for any k.
-        let (exact, neighbours) =
+        // For any k, all samples at the exact position count.
+        let (is_exact, neighbours) =
             self.weighted_neighbours(&link_coordinates(self.data.scene.moving, self.data.query(i)), is_other);
         if neighbours.is_empty() {
             return Vec::new();
@@ -196,7 +209,7 @@ impl<'a> Lookup<'a> {
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let mut scores = Vec::with_capacity(CHOICES.len());
         for k in CHOICES {
-            let until = if exact { neighbours.len() } else { k.min(neighbours.len()) };
+            let until = if is_exact { neighbours.len() } else { k.min(neighbours.len()) };
             for (j, weight) in &neighbours[taken..until] {
                 self.data.observations.add(*j, *weight, &mut sum);
                 total += weight;
@@ -210,8 +223,8 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// Returns the coordinates in which the distance of links is measured: features, or the transmitter position, or position
-/// and axes of a moving receiver.
+/// Returns the coordinates in which the distance of links is measured: the features, else the transmitter position `[3]`, or
+/// the position and axes of a moving receiver `[9]`, metres.
 fn link_coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
     match query.features {
         Some(features) => features.iter().map(|v| *v as f64).collect(),
@@ -277,6 +290,8 @@ struct CarrierLookup<'a> {
 }
 
 impl Predict for CarrierLookup<'_> {
+    /// Predicts from the nearest carrier that was observed at the position, else from the nearest position at the nearest
+    /// carrier.
     fn predict(&self, query: Query<'_>) -> Image {
         let log_hz = |receiver: usize| self.data.scene.receivers[receiver].carrier_hz.unwrap_or(1.0).ln();
         let distance = |carrier: &&(usize, Nearest)| (log_hz(carrier.0) - log_hz(query.receiver)).abs();

@@ -25,8 +25,8 @@ struct Process {
 }
 
 impl<'a> PooledKriging<'a> {
-    /// Fits path loss and process to the training and validation powers. Returns an error if there are none, or if one cannot be
-    /// read.
+    /// Fits path loss and process to the training and validation powers. Returns an error if there are none, or if the flag of
+    /// `fitting` ends the fit.
     pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, neighbours: usize) -> Result<Self> {
         let samples = fitting_samples(fitting)?;
         let fits = fit_powers(data, &samples, &|| fitting.check_stopped())?;
@@ -34,7 +34,7 @@ impl<'a> PooledKriging<'a> {
         Ok(Self::new(data, fits, data.group_by_receiver(samples), neighbours))
     }
 
-    /// Creates the predictor from the fit and the links of each receiver.
+    /// Creates the predictor from the fit and the links of each receiver; `neighbours` is the number of links per prediction.
     fn new(data: &'a Dataset, fits: Vec<ProcessFit>, links: Vec<Vec<usize>>, neighbours: usize) -> Self {
         let process = |(links, fit): (Vec<usize>, &ProcessFit)| {
             let residual =
@@ -47,7 +47,7 @@ impl<'a> PooledKriging<'a> {
     }
 
     /// Returns the fit of the receiver of a query, or of the first one for an unknown receiver.
-    fn fit_of(&self, query: Query<'_>) -> &ProcessFit {
+    fn fit_for(&self, query: Query<'_>) -> &ProcessFit {
         self.fits.get(query.receiver).or(self.fits.first()).expect("data have a receiver")
     }
 
@@ -64,7 +64,7 @@ impl<'a> PooledKriging<'a> {
 
 impl Predict for PooledKriging<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let (trend, at) = (&self.fit_of(query).trend, self.place(query));
+        let (trend, at) = (&self.fit_for(query).trend, self.place(query));
         let residual = |process: &Process| {
             let add = |k: usize, weight: f64, sum: &mut [f64]| sum[0] += weight * process.residuals[k] as f64;
             process.kriging.weighted_sum(at, self.neighbours, 1, add)[0]
@@ -76,7 +76,7 @@ impl Predict for PooledKriging<'_> {
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let (image, at) = (self.predict(query), self.place(query));
         let d = f64::from(cotangent(&image)[0]);
-        let slope = self.fit_of(query).trend.path_loss_vjp(d, at);
+        let slope = self.fit_for(query).trend.path_loss_vjp(d, at);
         let residual =
             |process: &Process| process.kriging.solve_vjp(at, self.neighbours, |k| d * process.residuals[k] as f64);
         let gradient = self.process(query).map_or([0.0; 3], residual);
@@ -84,7 +84,7 @@ impl Predict for PooledKriging<'_> {
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        let fit = self.fit_of(query);
+        let fit = self.fit_for(query);
         let relative = self.process(query).map_or(1.0 + fit.correlation.noise, |process| {
             process.kriging.solve(self.place(query), self.neighbours).1.variance
         });

@@ -65,7 +65,8 @@ enum Prediction {
 }
 
 impl Predictions {
-    /// Computes and stores the digest of the predictions for `data` and of its positions.
+    /// Computes and stores the digest of the predictions for `data` and of its positions, so that [`Baseline::check_test`]
+    /// rejects later changes.
     ///
     /// # Errors
     /// The folder or a file is missing or cannot be read, two files have one id, or the table of powers has a missing
@@ -129,6 +130,7 @@ impl Prediction {
         let refuse = |problem: String| Err(Error::input(path, problem));
         let bytes = read_bytes(path, MAX_NUMBERS, ADVICE)?;
         let Header { descr, fortran, shape, offset } = Header::read(path, &mut &bytes[..])?;
+        // An image of channels has two rows per antenna: real and imaginary parts.
         let (expected, size, axes, parts) = if task.is_complex {
             ("<c8", [height / 2, width], "[antennas, subcarriers]", 2)
         } else {

@@ -84,6 +84,7 @@ impl LinearMap {
             }
             Result::Ok(())
         })?;
+        // Above 0 even if all features are constant.
         let ridge = weight * (0..d).map(|k| gram[k * d + k]).sum::<f64>() / d as f64 + f64::MIN_POSITIVE;
         (0..d).for_each(|k| gram[k * d + k] += ridge);
         let too_large = || Error::Config("Ridge(): features are too large for a linear map; scale them".into());
