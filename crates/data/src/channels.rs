@@ -12,7 +12,7 @@ use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexFile, check_magnitudes, read_all};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
-    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Receiver,
+    Channels as ObservedChannels, DataSource, Dataset, End, Error, JsonSchema, Observations, Pose, Progress, Receiver,
     Result, Sample, Simulation, Unmatched, carrier_fault,
 };
 use serde::{Deserialize, Serialize};
@@ -151,7 +151,7 @@ impl DataSource for Channels {
             let problem = format!("holds channels of {count} transmitters, but {table} {rows}");
             return Err(Error::input(&path, format!("{problem}; give as many of each")));
         }
-        let metadata = ChannelMetadata::read(self, &root)?;
+        let metadata = ChannelMetadata::read(self, &root, locations.moving)?;
         let frequencies_hz = metadata.subcarrier_frequencies(&path, width)?;
         let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
         let receiver = metadata.create_receiver(&path, antennas, self.receiver.is_none())?;
@@ -194,6 +194,7 @@ impl DataSource for Channels {
                 return Err(format!("`{name}` is empty; name a file in `root`"));
             }
         }
+        // Valid numbers stand for settings that are missing.
         check_frequencies(self.carrier_hz.unwrap_or(1e9), self.spacing_hz.unwrap_or(1.0))?;
         if let Some(fault) = self.more_carriers.iter().find_map(|file| carrier_fault(file.carrier_hz)) {
             return Err(format!("`more_carriers`: {fault}"));
@@ -206,7 +207,8 @@ impl DataSource for Channels {
 }
 
 impl Channels {
-    /// Opens the array at `path` and those of further carriers. Returns an error for another shape.
+    /// Opens the array at `path` and those of further carriers, `more`. Returns an error for an invalid array, or one of another
+    /// shape than the first.
     fn open_carriers<'a>(&self, path: &'a Path, more: &'a [PathBuf]) -> Result<Vec<ComplexFile<'a>>> {
         let mut files = vec![ComplexFile::open(path, SHAPE)?];
         for path in more {
@@ -243,13 +245,14 @@ impl Channels {
     }
 }
 
-/// Returns the indices of `rows` in the joined arrays of all carriers, which have `count` rows each, carrier by carrier.
+/// Returns the indices of the same `rows` of each carrier in the joined array of all `carriers`, of `count` rows each; carrier
+/// by carrier.
 fn repeat_rows(rows: &[usize], carriers: usize, count: usize) -> Vec<usize> {
     (0..carriers).flat_map(|carrier| rows.iter().map(move |row| carrier * count + row)).collect()
 }
 
-/// Leaves out the links whose channel is zero, which was not received, and counts them. Returns an error if all are; it names
-/// the array at `path`.
+/// Leaves out the links whose channel is zero, which was not received, and counts them in `unmatched`. Returns an error if all
+/// are zero; it names the array at `path`.
 fn without_zeros(data: Dataset, path: &Path) -> Result<Dataset> {
     let Observations::Channels(channels) = &data.observations else { return Ok(data) };
     let is_received = |link: &usize| channels.of(*link).iter().flatten().any(|part| *part != 0.0);
@@ -267,6 +270,7 @@ fn without_zeros(data: Dataset, path: &Path) -> Result<Dataset> {
 /// Settings, completed from `receiver.yml`.
 struct ChannelMetadata {
     carrier_hz: f64,
+    /// Subcarrier spacing, Hz; NaN if it is missing.
     spacing_hz: f64,
     /// Frequencies of the subcarriers, Hz, if listed one by one.
     frequencies_hz: Option<Vec<f64>>,
@@ -320,9 +324,9 @@ impl ReceiverFile {
 }
 
 impl ChannelMetadata {
-    /// Completes the settings of `source` from `receiver.yml` in the folder `root`; reads the file only if one is missing.
-    /// Returns an error for an invalid file.
-    fn read(source: &Channels, root: &Path) -> Result<Self> {
+    /// Completes the settings of `source` from `receiver.yml` in the folder `root`. The file is read only if a setting is missing,
+    /// and need not exist if that is the spacing. Returns an error for a missing or invalid file.
+    fn read(source: &Channels, root: &Path, moving: End) -> Result<Self> {
         let path = root.join("receiver.yml");
         if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(receiver), .. } = source
             && (spacing_hz.is_some() || !path.exists())
@@ -340,7 +344,9 @@ impl ChannelMetadata {
         }
         let file = ReceiverFile::read(&path)?;
         let Pose { position, orientation } = file.pose();
-        let antennas = file.antennas.iter().map(|antenna| file.pose().to_receiver(*antenna)).collect();
+        // Antennas of a moving receiver are in its frame already.
+        let pose = if moving.is_receiver() { Pose::IDENTITY } else { file.pose() };
+        let antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
         let receiver = ReceiverPlace { position, orientation, antennas };
         let is_band_unset = source.carrier_hz.is_none() && source.spacing_hz.is_none();
         Ok(Self {
@@ -353,8 +359,8 @@ impl ChannelMetadata {
         })
     }
 
-    /// Returns the frequencies of the subcarriers, Hz: those listed, else evenly spaced about the carrier. Returns an error
-    /// unless their number is the `width` of the array at `path`.
+    /// Returns the frequencies of the `width` subcarriers of the array at `path`, Hz: those listed, else evenly spaced about the
+    /// carrier. Returns an error if another number is listed, and the errors of [`uniform_subcarriers`].
     fn subcarrier_frequencies(&self, path: &Path, width: usize) -> Result<Vec<f64>> {
         match &self.frequencies_hz {
             Some(listed) if listed.len() == width => Ok(listed.clone()),

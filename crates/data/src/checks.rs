@@ -1,5 +1,4 @@
-//! Validation of data sets from folders, `import` or arrays in memory. A data set that passes [`check_dataset`] can be saved
-//! and read back unchanged.
+//! Validation of data sets from folders, `import` or arrays in memory.
 
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra, carrier_fault};
@@ -15,7 +14,8 @@ const LARGEST_DBM: f64 = 300.0;
 /// Longest receiver name, characters.
 const LONGEST_NAME: usize = 100;
 
-/// Returns an error for a data set that [`save`](crate::save()) cannot write or that could not be read back.
+/// Returns an error for a data set whose values, receivers or links could not be read back from a folder. Some others have no
+/// layout, such as images of a camera: [`save`](crate::save()) rejects these.
 ///
 /// # Errors
 /// [`Error::Config`] for such a data set, with the problem and the next step.
@@ -23,7 +23,7 @@ pub fn check_dataset(data: &Dataset) -> Result<()> {
     dataset_fault(data).map_or(Ok(()), |fault| Err(Error::Config(format!("data set `{}`: {fault}", data.title))))
 }
 
-/// Returns the first problem with a data set; `None` if it can be saved and read back.
+/// Returns the first problem with the values, the receivers or the links of a data set; `None` if they could be read back.
 fn dataset_fault(data: &Dataset) -> Option<String> {
     let receivers = &data.scene.receivers;
     let links = data.links.iter().map(|link| (link.location, link.receiver));
@@ -60,7 +60,7 @@ impl UnlinkedNode {
 }
 
 /// Returns the first transmitter without a link, else the first receiver without one; `None` if all have links. `links` are
-/// (transmitter, receiver) pairs of indices.
+/// (transmitter, receiver) pairs of indices below the two numbers.
 pub fn unlinked_node(
     transmitters: usize,
     receivers: usize,
@@ -78,7 +78,8 @@ pub fn power_fault(dbm: f64) -> Option<String> {
 }
 
 /// Returns the problem if the elevations of spectra do not suit their `size`, width and height in pixels; `None` if they
-/// do. `setting` is an example of the setting for elevations that are not `stated`.
+/// do. `stated`: the elevations are set; otherwise, the advice is to set them, such as `setting`. The text begins with `is`:
+/// the caller names the spectrum.
 pub fn shape_fault(elevation: Elevation, stated: bool, size: (usize, usize), setting: &str) -> Option<String> {
     // Elongated pixels are plausible if stated; otherwise the rows probably cover another range of elevations.
     let factor = if stated { 4.0 } else { 1.75 };
@@ -108,7 +109,7 @@ pub fn is_linear(value: f64) -> bool {
     (-ROUNDING..=1.0 + ROUNDING).contains(&value)
 }
 
-/// Returns the problem with spectrum `i`, its first value outside 0 to 1; `None` if it is valid.
+/// Returns the problem with spectrum `i`, its first value outside 0 to 1; `None` if it is valid, as integers always are.
 pub(crate) fn spectrum_fault(spectra: &Spectra, i: usize) -> Option<String> {
     if !spectra.number().is_float() {
         return None;
@@ -135,7 +136,8 @@ pub(crate) fn name_fault(name: &str) -> Option<String> {
     (!fits).then(|| format!("receiver name {} is invalid; use 1 to {LONGEST_NAME} {valid}", quoted(name)))
 }
 
-/// Returns the problem with the first receiver whose antennas do not match the observations; `None` if all match.
+/// Returns the problem with the first receiver whose antennas do not match the observations; `None` if all match, and for
+/// spectra.
 fn antenna_fault(data: &Dataset) -> Option<String> {
     let (antennas, is_scalar) = (data.observations.antennas()?, data.task().is_scalar);
     let advice = if is_scalar {
@@ -153,7 +155,7 @@ fn antenna_fault(data: &Dataset) -> Option<String> {
 }
 
 /// Returns the frequencies of the `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz. Returns
-/// an error if the spacing is missing or a frequency would not be above 0.
+/// an error if a frequency would not be above 0, or if there are several and the spacing is missing (NaN) or not above 0.
 pub(crate) fn uniform_subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: usize) -> Result<Vec<f64>> {
     let middle = (count as f64 - 1.0) / 2.0;
     if count > 1 && (spacing_hz.is_nan() || spacing_hz <= 0.0) {

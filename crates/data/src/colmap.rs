@@ -172,8 +172,8 @@ fn is_data_line(line: &str) -> bool {
     !line.trim().is_empty() && !line.trim_start().starts_with('#')
 }
 
-/// Parses a whole number: an id, a width or a height. `advice` is the next step otherwise. Returns an error for another
-/// text, or a number beyond 32 bits.
+/// Parses a whole number: an id, a width or a height. Returns an error with the next step `advice` for other text, or a
+/// number beyond 32 bits.
 fn parse_whole_number(row: &TextRow<'_>, field: TextField<'_>, advice: &str) -> Result<u32> {
     let fault = || row.fault(field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
     field.text.parse().ok().ok_or_else(fault)
@@ -192,6 +192,7 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
         let Some((_, focal, distortion)) = CAMERAS.into_iter().find(|(name, ..)| *name == model.text) else {
             return fault(model.column, format!("camera model {} is no pinhole; {UNDISTORT}", quoted(model.text)));
         };
+        // Focal lengths, the principal point (x, y), and distortion, in this order.
         let needed = focal + 2 + distortion;
         if parameters.len() != needed {
             let problem = format!("{} has {} parameters, expected {needed}", model.text, parameters.len());

@@ -41,7 +41,7 @@ const VIRIDIS: [u32; 33] = [
 const GREY: u8 = 48;
 /// Largest distance of a colour from the map, of 255 per channel: twice the noise of a JPEG image.
 const NEAR: i32 = 24;
-/// Number of pixels that are looked at to recognise a map.
+/// Smallest number of pixels from which the map of a larger image is recognised.
 const SAMPLED: usize = 10_000;
 /// Smallest number of values of an image in which a map is recognised: a few colours lie on every map.
 const FEWEST: usize = 16;
@@ -93,7 +93,7 @@ impl Colormap {
     }
 
     /// Returns the map on which at least 90 % of the pixels of an image lie, the nearest one if there are several; `None` for a
-    /// grey image and for other colours.
+    /// grey image, other colours, and fewer than [`FEWEST`] values.
     pub(crate) fn recognise(image: &RgbImage) -> Option<Self> {
         let step = (image.width() as usize * image.height() as usize / SAMPLED).max(1);
         let pixels: Vec<[u8; 3]> = image.pixels().step_by(step).map(|pixel| pixel.0).collect();
@@ -102,7 +102,7 @@ impl Colormap {
         if 4 * pixels.iter().filter(is_saturated).count() < pixels.len() {
             return None;
         }
-        let distance = |map: Self| {
+        let distance_to = |map: Self| {
             let table = map.table();
             let (mut values, distances): (Vec<u8>, Vec<i32>) =
                 pixels.iter().map(|pixel| nearest(&table, *pixel)).unzip();
@@ -113,7 +113,12 @@ impl Colormap {
             let total = distances.iter().map(|squared| i64::from(*squared)).sum::<i64>();
             is_on_map.then_some((total, map))
         };
-        Self::value_variants().iter().copied().filter_map(distance).min_by_key(|(total, _)| *total).map(|(_, map)| map)
+        Self::value_variants()
+            .iter()
+            .copied()
+            .filter_map(distance_to)
+            .min_by_key(|(total, _)| *total)
+            .map(|(_, map)| map)
     }
 }
 

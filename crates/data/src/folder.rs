@@ -21,8 +21,8 @@ pub(crate) fn check_root(root: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the path of the folder `root` of the data source `plugin`. Returns an error with its `layout` if there is no such
-/// folder.
+/// Returns the path of the folder `root`, relative to `base`, of the data source `plugin`. Returns an error with its `layout`
+/// if there is no such folder.
 pub(crate) fn existing_root(base: &Path, root: &Path, plugin: &str, layout: &str) -> Result<PathBuf> {
     let root = base.join(root);
     if root.is_dir() {
@@ -63,7 +63,7 @@ pub(crate) fn read_point_cloud(base: &Path, points: Option<&Path>) -> Result<Vec
     points.map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))
 }
 
-/// Returns the name of a folder, without control characters.
+/// Returns the name of a folder, without control characters; `unnamed` for a path without a name, such as `..`.
 pub(crate) fn folder_name(root: &Path) -> String {
     strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
@@ -71,7 +71,7 @@ pub(crate) fn folder_name(root: &Path) -> String {
 /// Unit of received powers of receivers that are not calibrated.
 pub(crate) const RELATIVE: &str = "dB (relative)";
 
-/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()).
+/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()): the fields are its keys.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Manifest {
@@ -198,7 +198,7 @@ pub(crate) fn dataset_title(name: &str, simulation: Option<&Simulation>, layout:
     format!("{name} ({}{layout})", if simulation.is_some() { "" } else { "measured, " })
 }
 
-/// Returns the content of `gateway_info.yml` for a data set called `name`.
+/// Returns the content of `gateway_info.yml` for a data set called `name` and the pose of its receiver, metres.
 pub fn gateway_yaml(name: &str, Pose { position, orientation }: &Pose) -> String {
     let name = quote_yaml(name);
     format!(

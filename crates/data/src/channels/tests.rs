@@ -134,6 +134,21 @@ fn reads_missing_settings_from_companion_file() {
 }
 
 #[test]
+fn antennas_of_moving_receiver_are_in_its_frame() {
+    let folder = folder([2, 2, 3]);
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    write("rx_pose.csv", "x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n4,5,6,0,0,1,0\n");
+    write(
+        "receiver.yml",
+        "name: robot\nposition: [1, 2, 3]\norientation: [0, 0, 1, 0]\ncarrier_hz: 2.0e9\nspacing_hz: 1.0e6\n\
+         antennas: [[0, 0, 0], [0.1, 0, 0]]\n",
+    );
+    let bare = Channels { carrier_hz: None, spacing_hz: None, receiver: None, ..source(folder.path().into()) };
+    let data = bare.load(".".as_ref(), &|_, _| {}).unwrap();
+    assert_eq!(data.scene.receivers[0].antennas, [[0.0; 3], [0.1, 0.0, 0.0]]);
+}
+
+#[test]
 fn rejects_mismatched_files() {
     let three = folder([3, 1, 1]);
     let message = source(three.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
