@@ -156,7 +156,7 @@ impl Split for Python {
         self.host()?.split(self)?.split(data, rng)
     }
 
-    fn ready(&self) -> Result<()> {
+    fn check_ready(&self) -> Result<()> {
         self.host()?.split(self).map(|_| ())
     }
 }

@@ -26,7 +26,8 @@ impl AdamUpdate {
     /// 2e-5.
     pub const NEGLIGIBLE: Real = 1e-12;
 
-    /// Runs a step of Adam on values x with gradients d and moments m and v. Returns whether all values are finite.
+    /// Runs a step of Adam on values x with gradients d and moments m and v, all of one length. Returns whether all new
+    /// values are finite.
     #[must_use]
     pub fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> bool {
         const CHUNK: usize = 16_384; // values per task

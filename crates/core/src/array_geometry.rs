@@ -65,7 +65,7 @@ impl<T: Copy + Display + PartialEq + Into<f64>> ArrayGeometry<'_, T> {
         self.check_positions().map_err(|why| format!("`positions_wavelengths`: {why}"))
     }
 
-    /// Returns an error for too many given positions, a distant one, or two that are equal.
+    /// Returns an error for too many given positions, a coordinate that is NaN or too large, or two equal positions.
     fn check_positions(&self) -> Result<(), String> {
         if self.positions.len() > MOST {
             return Err(format!("{} antennas are too many; give at most {MOST}", self.positions.len()));

@@ -43,12 +43,12 @@ impl SiteSize {
     }
 }
 
-/// Returns the block of a position: a cube of `edge` metres.
+/// Returns the block that holds a position, metres: the indices of a cube of `edge` metres.
 pub fn block_of(position: [f64; 3], edge: f64) -> [i64; 3] {
     position.map(|v| (v / edge).floor() as i64)
 }
 
-/// Returns the mean of values, each after its block, and its standard error. Values of one block may depend on each
+/// Returns the mean of the values of (block, value), and its standard error. Values of one block may depend on each
 /// other, those of different blocks are independent. NaN without values; the error is 0 for a single block.
 pub fn block_mean(values: impl IntoIterator<Item = ([i64; 3], f64)>) -> (f64, f64) {
     let mut blocks: BTreeMap<[i64; 3], (f64, f64)> = BTreeMap::new();

@@ -58,7 +58,7 @@ impl GaussianCloud {
         self.means.is_empty()
     }
 
-    /// Returns every column as (name, width, row-major values).
+    /// Returns every column as (name, width, row-major values): those of [`COLUMN_NAMES`], then the extra ones.
     pub fn columns(&self) -> impl Iterator<Item = (&str, usize, &[Real])> {
         let fixed = [
             (COLUMN_NAMES[0], 3, self.means.as_flattened()),
@@ -85,7 +85,7 @@ impl GaussianCloud {
     /// Adds a column of zeros for each missing entry of `expected` (name and width).
     ///
     /// # Errors
-    /// A column has another width.
+    /// A column has another width; entries before it are then added.
     pub fn add_missing_columns(&mut self, expected: &[(&str, usize)]) -> Result<(), String> {
         for &(name, width) in expected {
             match self.extra(name) {

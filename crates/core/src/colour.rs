@@ -11,7 +11,7 @@ const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.08
 const BLUE: f64 = 256.0;
 const VERMILION: f64 = 40.0;
 
-/// Returns a colour from dark violet at 0 to yellow at 1.
+/// Returns a colour from dark violet at 0 to yellow at 1; other values are clamped.
 pub fn sequential(value: f64) -> Rgb {
     let t = value.clamp(0.0, 1.0);
     let position = 4.0 * t;
@@ -23,11 +23,11 @@ pub fn sequential(value: f64) -> Rgb {
     srgb_from_oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
 }
 
-/// Returns a colour from blue at −1 over white to vermilion at 1.
+/// Returns a colour from blue at −1 over white to vermilion at 1; other values are clamped.
 pub fn diverging(value: f64) -> Rgb {
     let size = value.abs().min(1.0);
     let hue = if value < 0.0 { BLUE } else { VERMILION };
-    // With an exponent below 1, the hue of small values is visible.
+    // Lightness from 0.98 (white) to 0.48. With an exponent below 1, the hue of small values is visible.
     srgb_from_oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
 }
 
@@ -35,6 +35,7 @@ pub fn diverging(value: f64) -> Rgb {
 /// distinguishes the halves of equal lightness, also for colour-blind readers.
 pub fn cyclic(value: f64) -> Rgb {
     let (sin, cos) = (std::f64::consts::TAU * value).sin_cos();
+    // Lightness from 0.27 (dark) to 0.93 (light); both are grey.
     srgb_from_oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { VERMILION } else { BLUE })
 }
 

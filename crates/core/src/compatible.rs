@@ -95,7 +95,7 @@ fn check_demand(demand: &Demand, parts: &Parts<'_>) -> Result<(), Misfit> {
     refuse(unmet.map(|requirement| Misfit::Unmet(field, plugin, *requirement)))
 }
 
-/// Returns whether the known parts meet a requirement.
+/// Returns whether the parts meet a requirement; absent parts meet all.
 fn is_met(requirement: Requirement, parts: &Parts<'_>) -> bool {
     let data = |is_met: fn(&Dataset) -> bool| parts.data.is_none_or(is_met);
     let setup = |is_met: fn(&MeasurementSetup) -> bool| parts.setup.is_none_or(is_met);
@@ -119,10 +119,10 @@ fn is_met(requirement: Requirement, parts: &Parts<'_>) -> bool {
     }
 }
 
-/// Checks pruners against each other, the target, and the method.
+/// Checks pruners against each other, the target, the method and the task.
 fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Misfit> {
     let (pruners, task) = (parts.pruners, parts.task.or(traits.task));
-    // Pruners written in Python share one name and differ in their class.
+    // Pruners written in Python share one name: their classes and settings differ.
     let kind = |pruner: &Plugin<dyn Pruner>| if name_of(pruner) == "Python" { to_ron(pruner) } else { name_of(pruner) };
     let is_repeated = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
         !pruner.traits().columns.is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
@@ -133,9 +133,10 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     let prune_step = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
     for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, &prune_step)) {
         let needs = pruner.needs(&GaussianCloud::zeros(0), &context).statistics;
-        let rasterizer = if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending() or " };
+        // Methods of channels have no rasterizer.
+        let advice = if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending() or " };
         let needs_blending = !traits.blends && needs.iter().any(|statistic| statistic.requires_blending());
-        refuse(needs_blending.then(|| Misfit::NeedsBlending(title_of(pruner), rasterizer)))?;
+        refuse(needs_blending.then(|| Misfit::NeedsBlending(title_of(pruner), advice)))?;
         let requires_pixels = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
         let needs_pixels = task.is_some_and(|task| !task.has_pixels) && needs.iter().any(requires_pixels);
         refuse(needs_pixels.then(|| Misfit::NeedsPixels(title_of(pruner))))?;
@@ -180,22 +181,24 @@ fn check_training(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<
     refuse(pixels.filter(|count| *count > most).map(|count| Misfit::TooManyPixels(count, most)))
 }
 
-/// Checks the receivers and observations of a setup against the method.
+/// Checks that the projector of the method draws the spectra, or that other observations have the size of their receivers.
 fn check_setup(setup: &MeasurementSetup, traits: &MethodTraits<'_>) -> Result<(), Misfit> {
     let MeasurementSetup { receivers, task, plane, .. } = setup;
     if let (true, Some(projector)) = (task.has_pixels, traits.projector) {
         return check_plane(&plane.whole(), &**projector);
     }
     let (subcarriers, [width, height]) = (setup.frequencies_hz.len(), [plane.width, plane.height]);
+    // A channel has two rows per antenna: real and imaginary parts.
     let size = |receiver: &Receiver| if task.is_complex { [subcarriers, 2 * receiver.antennas.len()] } else { [1, 1] };
     let is_other = !task.has_pixels && receivers.iter().any(|receiver| size(receiver) != [width, height]);
     refuse(is_other.then_some(Misfit::Numbers(width, height, *task)))
 }
 
-/// Checks that the projector draws the image plane, as that of a file may be any.
+/// Checks that the projector draws the image plane of data, which may be any plane that a file states.
 fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), Misfit> {
     let ImagePlane { width, height, .. } = *plane;
     let angles = |plane: &ImagePlane| plane.angles.map(|(az, el)| [az.first, az.step, el.first, el.step]);
+    // Degrees: `ImagePlane::elevation` rounds to 1e-9.
     let is_near = |a: [f64; 4], b: [f64; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
     let is_same = |drawn: &ImagePlane| {
         let alike = match (angles(plane), angles(drawn)) {
@@ -222,9 +225,9 @@ fn check_stages(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<'_
         refuse((traits.shows_colours && !setup.task.has_pixels).then_some(Misfit::Colours))?;
         let ignored = carriers > 0 && deformation.is_some_and(|deformation| !deformation.reads_carrier);
         refuse(ignored.then_some(Misfit::CarriersIgnored(carriers)))?;
-        let sky = method.plane(setup)?;
+        let plane = method.plane(setup)?;
         // Pixels with angles or a camera turn with the receiver.
-        let (moves, turns) = (setup.moving.is_receiver(), sky.angles.is_some() || sky.camera.is_some());
+        let (moves, turns) = (setup.moving.is_receiver(), plane.angles.is_some() || plane.camera.is_some());
         refuse((moves && rasterizer.is_some() && !turns).then_some(Misfit::FixedCentre))?;
         let reason = if moves { "the receiver moves".into() } else { format!("the data have {receivers} receivers") };
         let is_read = (moves || receivers > 1) && deformation.is_some_and(|deformation| deformation.reads_receiver);
@@ -246,12 +249,13 @@ fn check_stages(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<'_
     refuse((rasterizer.is_coherent() && traits.shows_colours).then_some(Misfit::Colours))
 }
 
-/// Returns how the transmitter inputs of the data differ from those of the method; `None` if they agree.
+/// Returns how the transmitter inputs of the data differ from those of the method, or why no method can use them; `None` if they
+/// agree.
 fn input_misfit(data: &Dataset, traits: &MethodTraits<'_>) -> Option<Misfit> {
     let width = data.features.as_ref().map(|features| features.width);
     match width {
         None if !data.placed => return Some(Misfit::NoInputs),
-        Some(3) => return Some(Misfit::ThreeFeatures),
+        Some(3) => return Some(Misfit::ThreeFeatures), // 3 inputs are always a position
         _ if width.unwrap_or(3) == traits.inputs => return None,
         _ => {}
     }
@@ -304,12 +308,12 @@ fn frequency_difference(model: &[f64], data: &[f64]) -> Option<SetupDifference> 
     other.map(|(a, b)| SetupDifference::Frequency(*a, *b))
 }
 
-/// Returns whether two frequencies, Hz, agree up to the digits of a file.
+/// Returns whether two frequencies, Hz, agree within one part in a million: files round them.
 fn is_same_frequency(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-6 * a.abs()
 }
 
-/// Returns why a training cannot start from the trained model of `parts`; `None` if it can, or there is no such model.
+/// Returns why a training cannot start from the trained model of `parts`; `None` if it can, or the model or a setup is absent.
 fn start_misfit(parts: &Parts<'_>) -> Option<Misfit> {
     let ((method, model), setup) = parts.start.zip(parts.setup)?;
     let text = |method: &dyn Method| serde_json::to_string(method).unwrap_or_default();

@@ -62,7 +62,7 @@ pub trait Split: crate::plugin::PluginObject {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
     /// Divides `links`, in ascending order, into the units that the split holds out together, in order; a fold of a
-    /// cross-validation holds some of them.
+    /// cross-validation holds some of them. By default, the links of one location are a unit.
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         links.chunk_by(|a, b| data.links[*a].location == data.links[*b].location).map(<[usize]>::to_vec).collect()
     }
@@ -87,7 +87,7 @@ pub trait Split: crate::plugin::PluginObject {
     ///
     /// # Errors
     /// The split cannot run; the message states the reason and the next step.
-    fn ready(&self) -> Result<()> {
+    fn check_ready(&self) -> Result<()> {
         Ok(())
     }
 
@@ -139,7 +139,7 @@ pub trait Baseline: crate::plugin::PluginObject {
     /// samples held out of the training set.
     ///
     /// # Errors
-    /// The data do not suit the baseline, or an observation cannot be read.
+    /// The data do not suit the baseline, an observation cannot be read, or the [flag](FittingSet::stop) ends the fit.
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>>;
 
     /// Returns whether its predictions come from another program and are for the test set alone.
@@ -218,7 +218,7 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Returns training and validation set, without a flag that ends the fit.
+    /// Returns training and validation set, all but the test set, without a flag that ends the fit.
     pub fn known(&self) -> FittingSet<'_> {
         FittingSet { train: &self.train, validation: &self.validation, stop: None }
     }
@@ -263,7 +263,7 @@ pub struct FittingSet<'a> {
 }
 
 impl<'a> FittingSet<'a> {
-    /// Creates a training set without validation.
+    /// Creates a set without validation links and without a flag that ends the fit.
     pub fn train(train: &'a [usize]) -> Self {
         Self { train, ..Self::default() }
     }

@@ -90,7 +90,7 @@ impl Dataset {
         Self::of_links(title, vec![Receiver::new("receiver", receiver)], points, &samples, spectra.into())
     }
 
-    /// Creates a data set of any observations at any number of receivers, one per sample; samples are sorted by ID,
+    /// Creates a data set of any observations at any number of receivers, one per sample. Give the samples sorted by ID,
     /// then receiver. The receivers are fixed, or move ([`Ends::of_moving_receivers`]): a sample then has their pose.
     ///
     /// ```
@@ -109,7 +109,7 @@ impl Dataset {
     ///
     /// - IDs decrease, a link occurs twice, or one ID has two poses.
     /// - The numbers of observations and samples differ, or an observation is not finite.
-    /// - Two receivers have one name, or a sample has an unknown receiver.
+    /// - Receivers are invalid ([`check_receivers`]), or a sample has an unknown receiver.
     /// - A position is not finite or beyond 1e8 m, or an orientation is not of length 1.
     pub fn of_links(
         title: impl Into<String>,
@@ -133,7 +133,7 @@ impl Dataset {
     /// one per observation.
     ///
     /// # Errors
-    /// As [`Self::of_links`], for receivers, transmitter, observations and points.
+    /// As [`Self::of_links`], for receivers, transmitter, observations and points. Locations and links are not checked.
     pub fn of_columns(
         title: impl Into<String>,
         ends: Ends,
@@ -194,7 +194,7 @@ impl Dataset {
         self.select(links, observations.into_subset(links)?)
     }
 
-    /// Returns an error unless `links` are at least one, in ascending order without repetition, and in the data.
+    /// Returns an error unless there are `links`, in ascending order without repetition and all in the data.
     fn check_subset(&self, links: &[usize]) -> Result<()> {
         if links.is_empty() || !links.is_sorted_by(|a, b| a < b) || links[links.len() - 1] >= self.len() {
             let order = "at least one, in ascending order without repetition";
@@ -300,7 +300,7 @@ impl Dataset {
         groups
     }
 
-    /// Returns the title, followed by "(simulated)" if the data are simulated and it does not say so.
+    /// Returns the title, followed by "(simulated)" if the data are simulated and the title does not have that word.
     pub fn marked_title(&self) -> String {
         let is_marked = !self.is_simulated() || self.title.to_lowercase().contains("simulated");
         format!("{}{}", self.title, if is_marked { "" } else { " (simulated)" })
@@ -317,8 +317,8 @@ impl Dataset {
         self.scene.receivers[0].camera
     }
 
-    /// Returns the image plane of the spectra: that of the camera, or columns cover the full circle and rows are
-    /// [`Self::elevation`]. The values of a power or channel have no direction.
+    /// Returns the image plane of an observation. That of a spectrum is of the camera, or has columns over the full circle and
+    /// rows over [`Self::elevation`]. The values of a power or channel have no direction.
     pub fn plane(&self) -> ImagePlane {
         if let Some(camera) = self.camera() {
             return ImagePlane { camera: Some(camera), ..ImagePlane::plain(self.width, self.height) };
@@ -380,7 +380,7 @@ fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Lin
     let mut locations: Vec<Location> = Vec::new();
     let mut links: Vec<Link> = Vec::with_capacity(samples.len());
     for &Sample { id, pose, receiver } in samples {
-        let pose = if moving.is_receiver() { pose } else { pose.position.into() };
+        let pose = if moving.is_receiver() { pose } else { pose.position.into() }; // a transmitter has world axes
         if receiver >= receivers {
             return Err(format!("id {id} has receiver {receiver}, but there are {receivers}"));
         }
@@ -432,7 +432,7 @@ fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Sce
     Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None, floors: BTreeMap::new() }
 }
 
-/// Returns the smallest and largest corner of the given points.
+/// Returns the smallest and largest corner of the box around one or more points.
 fn bounding_box(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
     let empty = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (low, high) = points.map(Vec3::from_array).fold(empty, |(low, high), p| (low.min(p), high.max(p)));

@@ -145,7 +145,7 @@ pub struct DeformationInputs<'a> {
 }
 
 impl<'a> DeformationInputs<'a> {
-    /// Creates the inputs for some transmitters.
+    /// Creates the inputs for some transmitters; [`Self::kept`] is `None`.
     pub fn new(weights: &'a [Real], means: &'a [[Real; 3]], txs: impl Into<Conditions<'a>>, pose: &'a Pose) -> Self {
         Self { weights, means, txs: txs.into(), pose, kept: &None }
     }
@@ -220,8 +220,8 @@ impl<'a> Conditions<'a> {
         Self { width, values: &values[..whole], carriers: &[] }
     }
 
-    /// Returns the inputs with the carrier of each row `[B]`, from -1 to 1 ([`MeasurementSetup::carriers`](crate::MeasurementSetup::carriers));
-    /// unchanged if there are none.
+    /// Returns the inputs with the `carriers` of the rows `[B]`, from -1 to 1
+    /// ([`MeasurementSetup::carriers`](crate::MeasurementSetup::carriers)); none if the data have one carrier.
     #[must_use]
     pub fn at_carriers(self, carriers: &'a [Real]) -> Self {
         Self { carriers, ..self }

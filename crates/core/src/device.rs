@@ -98,8 +98,8 @@ pub fn set_choice(choice: DeviceChoice) {
     CHOICE.get_or_init(|| choice);
 }
 
-/// Returns the name of the GPU that the process uses, such as `NVIDIA H100 (Vulkan, 580.159)`; `None` for the CPU. The first
-/// call settles the device, since it precedes a computation.
+/// Returns the name of the GPU that the process uses, such as `NVIDIA H100 (Vulkan, 580.159)`; `None` for the CPU. Unless
+/// [`set_name`] precedes the first call, the process computes on the CPU from then on.
 pub fn name() -> Option<&'static str> {
     NAME.get_or_init(|| None).as_deref().filter(|_| !LEFT.load(Ordering::Relaxed))
 }

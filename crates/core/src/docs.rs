@@ -227,6 +227,7 @@ impl Reader<'_> {
 
     /// Returns the type of a schema without `None`.
     fn inner_kind(&self, schema: &Value) -> DocKind {
+        // The title of a type, such as `Elevation`, describes its notation in words.
         if let Some(words) = schema.get("title").and_then(Value::as_str) {
             return DocKind::Plain(leak(words));
         }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read.
-    #[error("cannot read {}: {source}", one_line(path))]
+    #[error("cannot read {}: {source}", format_path(path))]
     Read {
         /// Path of the file.
         path: PathBuf,
@@ -17,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder could not be written.
-    #[error("cannot write {}: {source}", one_line(path))]
+    #[error("cannot write {}: {source}", format_path(path))]
     Write {
         /// Path of the file.
         path: PathBuf,
@@ -25,7 +25,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The content of a file is invalid.
-    #[error("{}:{} {}", one_line(path), line_and_column(*at), sanitize_message(message))]
+    #[error("{}:{} {}", format_path(path), format_position(*at), sanitize_message(message))]
     Input {
         /// Path of the file.
         path: PathBuf,
@@ -60,7 +60,7 @@ pub enum Error {
         advice: &'static str,
     },
     /// Another process uses the folder.
-    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", one_line(.0))]
+    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", format_path(.0))]
     Busy(PathBuf),
     /// The operation was cancelled.
     #[error("stopped before completion")]
@@ -111,17 +111,17 @@ pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
     if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
-/// Writes a path on one line.
-fn one_line(path: &Path) -> String {
+/// Formats a path on one line.
+fn format_path(path: &Path) -> String {
     sanitize_path(path).replace(['\n', '\t'], " ")
 }
 
-/// Writes a position in a file as `line:column:`; empty without one.
-fn line_and_column(at: Option<(usize, usize)>) -> String {
+/// Formats a position in a file as `line:column:`; empty without one.
+fn format_position(at: Option<(usize, usize)>) -> String {
     at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:"))
 }
 
-/// Returns `; did you mean `x`?` for a misspelt name; empty if none of the valid `names` is similar.
+/// Returns ``; did you mean `x`?`` for a misspelt name; empty if none of the valid `names` is similar.
 pub fn did_you_mean<'a>(wrong: &str, names: impl IntoIterator<Item = &'a str>) -> String {
     if wrong.len() > 100 {
         return String::new(); // not a name, and the time of the distance grows with the squared length

@@ -61,8 +61,9 @@ impl ReadLimit {
 #[expect(clippy::disallowed_methods, reason = "this function checks the type of the file first")]
 pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     let path = path.as_ref();
+    // Reading a folder fails with a clear error.
     if !path.is_dir() {
-        refuse_irregular(path)?; // reading a folder fails with a clear error
+        refuse_irregular(path)?;
     }
     File::open(path)
 }
@@ -115,7 +116,7 @@ pub fn read_string(path: impl AsRef<Path>) -> io::Result<String> {
 /// Reads the bytes of a regular file.
 ///
 /// # Errors
-/// The file cannot be opened or read, is not regular ([`open`]), or exceeds the `limit`, in bytes or otherwise.
+/// The file cannot be opened or read, is not regular ([`open`]), or exceeds the `limit`.
 pub fn read_at_most(path: &Path, limit: impl Into<ReadLimit>) -> io::Result<Vec<u8>> {
     let (file, limit) = (open(path)?, limit.into());
     let size = file.metadata()?.len(); // 0 for some files of the system
@@ -132,8 +133,8 @@ pub fn read_at_most(path: &Path, limit: impl Into<ReadLimit>) -> io::Result<Vec<
     check(bytes.len() as u64).map(|()| bytes)
 }
 
-/// Rejects a path at which neither a file nor a folder can be created: below a file, below a broken link, or with a
-/// name that the file system rejects. Missing folders are accepted. A file or folder at `path` itself is not checked.
+/// Rejects a path at which neither a file nor a folder can be created: below a file, at or below a broken link, or with
+/// a name that the file system rejects. Missing folders are accepted. A file or folder at `path` itself is not checked.
 ///
 /// # Errors
 /// [`Error::Input`] for such a path; the message names its invalid part.
@@ -158,7 +159,7 @@ pub fn check_path(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns whether the file system rejects the name itself.
+/// Returns whether an error says that the file system rejects the name itself.
 fn is_invalid_name(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
 }
@@ -201,7 +202,7 @@ pub struct GrowingFile {
 }
 
 impl GrowingFile {
-    /// Creates the file with its first bytes.
+    /// Creates or replaces the file, with the first bytes `start`.
     ///
     /// # Errors
     /// [`Error::Write`] if the file cannot be written.

@@ -36,7 +36,7 @@ impl Image {
         self.pixels.iter().map(|p| (p.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
     }
 
-    /// Clamps every pixel to [0, 1], as metrics and figures use it.
+    /// Returns a copy with every pixel clamped to [0, 1], for metrics and figures.
     pub fn clamped(&self) -> Self {
         Self { pixels: self.pixels.iter().map(|p| p.clamp(0.0, 1.0)).collect(), ..*self }
     }
@@ -107,7 +107,7 @@ impl Elevation {
     }
 
     /// Returns the error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
-    /// the full azimuth and `height` rows; otherwise `None`.
+    /// the full azimuth and `height` rows; otherwise `None`. The text continues a sentence: `NAME is ..`.
     pub fn misfit(self, (width, height): (usize, usize), factor: f64) -> Option<String> {
         let [across, up] = [360.0 / width as f64, ((self.last - self.first) / height as f64).abs()];
         if across <= factor * up && up <= factor * across {
@@ -184,7 +184,7 @@ impl Sampling {
     /// All pixels.
     pub const WHOLE: Self = Self::every(1);
 
-    /// Returns every `stride`-th column and row from the first.
+    /// Creates the sampling of every `stride`-th column and row from the first.
     pub const fn every(stride: usize) -> Self {
         Self { stride, offset: [0, 0], filter: None }
     }
@@ -196,7 +196,7 @@ impl ImagePlane {
         Self { width, height, wraps: false, angles: None, camera: None, sampling: Sampling::WHOLE }
     }
 
-    /// Creates a plane whose columns cover the full circle of azimuths, and whose rows these elevations.
+    /// Creates a plane whose columns cover the full circle of azimuths, and whose rows cover these elevations.
     pub fn around(width: usize, height: usize, elevation: Elevation) -> Self {
         let azimuth = AngleAxis { first: 0.0, step: 360.0 / width as f64 };
         let angles = Some((azimuth, elevation.axis(height)));
@@ -245,7 +245,7 @@ impl ImagePlane {
         })
     }
 
-    /// Returns the elevations of its rows, rounded to a billionth of a degree; `None` if the plane has no angles.
+    /// Returns the elevations of its rows, the last rounded to a billionth of a degree; `None` if the plane has no angles.
     pub fn elevation(&self) -> Option<Elevation> {
         // 90/H · H may differ from 90 in the last bit.
         let end = |axis: AngleAxis| ((axis.first + axis.step * self.height as f64) * 1e9).round() / 1e9;
@@ -254,6 +254,7 @@ impl ImagePlane {
 
     /// Returns whether it includes directions behind the receiver, below the plane of its array. `false` without angles.
     pub fn has_directions_behind(&self) -> bool {
+        // A horizontal row may be rounded.
         self.elevation().is_some_and(|elevation| elevation.first.min(elevation.last) < -1e-9)
     }
 
@@ -279,8 +280,8 @@ pub mod stretch {
     /// Relative range of pixel values below which an image contains only rounding errors.
     const NO_CONTRAST: Real = 1e-6;
 
-    /// Returns the smallest and largest value; zeros if empty. NaN is ignored, unless it is the first value, and
-    /// remains in the image.
+    /// Returns the smallest and largest value; zeros if empty. NaN is ignored, unless it is the first value: then
+    /// both are NaN.
     pub fn range(values: &[Real]) -> (Real, Real) {
         let first = values.first().copied().unwrap_or(0.0);
         let (mut low, mut high) = ([first; 16], [first; 16]);
@@ -305,7 +306,7 @@ pub mod stretch {
         (low.into_iter().fold(first, Real::min), high.into_iter().fold(first, Real::max))
     }
 
-    /// Returns 1/(high − low) for values from `low` to `high`, at least 0; 0 without contrast.
+    /// Returns 1/(high − low) for values from `low` to `high`, none below 0; 0 without contrast or for NaN.
     pub fn gain(low: Real, high: Real) -> Real {
         if high - low > NO_CONTRAST * high { 1.0 / (high - low) } else { 0.0 }
     }

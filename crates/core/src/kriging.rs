@@ -30,6 +30,11 @@ pub fn spatial_place([x, y, z]: [f64; 3]) -> Place {
     [x, y, z, 0.0]
 }
 
+/// Returns the position of a place, metres, without its time.
+fn position_of([x, y, z, _]: Place) -> [f64; 3] {
+    [x, y, z]
+}
+
 /// Mean of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mean {
@@ -123,7 +128,7 @@ impl LocalKriging {
         sum
     }
 
-    /// Finds the samples nearest to `at`, and their places, both in units of the scales.
+    /// Returns the samples nearest to `at`, at most `count`, and their places. All places are in units of the scales.
     fn find_nearest(&self, at: Place, count: usize) -> (Vec<usize>, Vec<Place>) {
         let samples: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
         let places = samples.iter().map(|&i| self.places[i]).collect();
@@ -243,12 +248,12 @@ impl PathLoss {
         Self::fit_groups(&[points]).0
     }
 
-    /// Fits one slope for several groups of (log10 of the distance, dBm), with one level per group: (model of the first
-    /// group, level of each). A group without points gets the mean level of all points.
+    /// Fits one slope for several groups of (log10 of the distance, dBm), with one level per group. Returns the model of the
+    /// first group, and the level of each. A group without points gets the mean level of all points.
     pub fn fit_groups(groups: &[&[(f64, f64)]]) -> (Self, Vec<f64>) {
         let mean = |points: &[(f64, f64)]| {
             let n = points.len().max(1) as f64;
-            (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n)
+            (points.iter().map(|(x, _)| x).sum::<f64>() / n, points.iter().map(|(_, y)| y).sum::<f64>() / n)
         };
         let means: Vec<(f64, f64)> = groups.iter().map(|points| mean(points)).collect();
         let (mut spread, mut fall) = (0.0, 0.0);

@@ -301,8 +301,8 @@ impl Split for Fold {
         self.of.is_sparse()
     }
 
-    fn ready(&self) -> Result<()> {
-        self.of.ready()
+    fn check_ready(&self) -> Result<()> {
+        self.of.check_ready()
     }
 
     fn check(&self) -> Result<(), String> {

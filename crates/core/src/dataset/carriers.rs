@@ -62,8 +62,8 @@ impl Dataset {
         faults.next().map_or(Ok(()), |(i, fault)| Err(format!("carrier {}: {fault}", i + 1)))
     }
 
-    /// Returns the links in their new order: ID of the location, index of the carrier in `distinct`, and link. Repeated
-    /// links at a pose and carrier count up, and each count has a location of its own.
+    /// Returns the links in their new order: ID of the location, index of the carrier in `distinct`, and link. At each pose, the
+    /// first links of all carriers share a location, the second ones another, and so on; its ID is that of its first link.
     fn sort_by_carrier(&self, carriers_hz: &[f64], distinct: &[f64]) -> Vec<(u32, usize, usize)> {
         let (mut counts, mut first_ids) = (BTreeMap::new(), BTreeMap::new());
         let row = |(i, hz): (usize, &f64)| {

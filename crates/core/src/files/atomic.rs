@@ -51,7 +51,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<File> {
     write_beside(path, bytes, |temporary| fs::rename(temporary, path)).map_err(|e| Error::write(path, e))
 }
 
-/// Writes a new file atomically.
+/// Writes a new file as [`write_new`] does.
 ///
 /// # Errors
 /// [`Error::Config`] if the path exists, even if it was free a moment ago; [`Error::Write`].
@@ -60,7 +60,7 @@ pub fn create(path: &Path, bytes: &[u8]) -> Result<()> {
 }
 
 /// Writes a new file atomically. Returns `false` if the path exists and leaves it unchanged: of several processes that
-/// write the same file at once, one gets `true`.
+/// write the same file at once, one gets `true`. On file systems without hard links, others may read a part of the file.
 ///
 /// # Errors
 /// [`Error::Write`] if the file cannot be written.
@@ -120,7 +120,7 @@ fn create_temporary(path: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Returns the name of the file as its temporary files repeat it.
+/// Returns the name of a file as its temporary files repeat it: at most [`LONGEST_NAME`] bytes.
 fn short_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name[..name.floor_char_boundary(LONGEST_NAME)].to_owned()

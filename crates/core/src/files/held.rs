@@ -138,7 +138,7 @@ impl HeldFolder {
         }
     }
 
-    /// Checks that the name still leads to the folder.
+    /// Checks that the name still leads to the folder; without effect if files are accessed by name.
     ///
     /// # Errors
     /// [`Error::Write`] if the name leads elsewhere; the message gives the current path of the files.

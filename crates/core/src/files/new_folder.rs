@@ -75,7 +75,7 @@ impl NewFolder {
     /// Removes a published folder. It is moved into a temporary folder first, so that no process reads a partial folder.
     ///
     /// # Errors
-    /// [`Error::Write`] if the folder cannot be renamed.
+    /// [`Error::Write`] if the temporary folder cannot be created, or the folder cannot be renamed.
     pub fn remove(folder: &Path) -> Result<()> {
         let temporary = Self::begin_next_to(folder)?;
         fs::rename(folder, temporary.path.join(REMOVED)).map_err(|e| Error::write(folder, e))

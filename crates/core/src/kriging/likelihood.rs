@@ -1,6 +1,6 @@
 //! Maximum-likelihood fit of correlation, scales and noise.
 
-use super::{Correlation, CorrelationKind, Mean, Place, Solution, StopCheck, solve};
+use super::{Correlation, CorrelationKind, Mean, Place, Solution, StopCheck, position_of, solve};
 use crate::{Real, Result, neighbours, statistics::sorted};
 use rayon::prelude::*;
 
@@ -66,7 +66,7 @@ impl HeldOutCases {
     }
 
     /// Returns the most likely process variance, summed over values: the mean of squared errors in units of the
-    /// predicted variance.
+    /// predicted variance. NaN without cases.
     pub fn variance(&self, correlation: &Correlation) -> f64 {
         process_variance(&self.prediction_errors(correlation))
     }
@@ -86,10 +86,11 @@ fn process_variance(errors: &[(f64, f64)]) -> f64 {
     errors.iter().map(|(error, variance)| error / variance).sum::<f64>() / errors.len() as f64
 }
 
-/// Computes the sums of products of any two of the n observations, `[n, n]`.
+/// Computes the sums of products of any two of the n observations, `[n, n]`: with an unknown mean, of their differences from the
+/// first.
 fn sum_products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
     let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
-    // Differences from the first observation avoid cancellation for bright spectra.
+    // Weights that add up to 1 give the same errors from differences, and those of bright spectra do not cancel.
     let first = if mean == Mean::Zero { vec![0.0; values[0].len()] } else { values[0].clone() };
     let differences: Vec<Vec<Real>> =
         values.iter().map(|p| p.iter().zip(&first).map(|(p, first)| p - first).collect()).collect();
@@ -99,9 +100,8 @@ fn sum_products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
 impl HeldOutCase {
     /// Computes the distance from the predicted sample to its median neighbour, metres; 0 without neighbours.
     fn median_distance_m(&self) -> f64 {
-        let position = |[x, y, z, _]: Place| [x, y, z];
         let median = self.neighbours.get(self.neighbours.len() / 2);
-        median.map_or(0.0, |neighbour| neighbours::distance(position(*neighbour), position(self.place)))
+        median.map_or(0.0, |neighbour| neighbours::distance(position_of(*neighbour), position_of(self.place)))
     }
 
     /// Computes the squared prediction error, summed over values, and the variance that the process of variance 1
@@ -130,8 +130,8 @@ pub fn fit_correlation(cases: &HeldOutCases, space: SearchSpace<'_>, check: Stop
     search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check).map(|best| best.1)
 }
 
-/// Finds the correlation with the largest `log_likelihood` as [`fit_correlation`], and returns it after that likelihood. The
-/// search starts at eight times `typical_m`, metres.
+/// Finds the correlation with the largest `log_likelihood` as [`fit_correlation`] does. Returns that likelihood and the
+/// correlation, or an error of `check`. The search starts at length scales of eight times `typical_m`, metres.
 pub(super) fn search(
     log_likelihood: &(dyn Fn(&Correlation) -> f64 + Sync),
     typical_m: f64,

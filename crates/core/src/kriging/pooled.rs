@@ -9,7 +9,7 @@
 mod marginal;
 
 use super::likelihood::IMPROVEMENT;
-use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, StopCheck, solve};
+use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, StopCheck, position_of, solve};
 use crate::blocks::{SiteSize, block_mean, block_of};
 use crate::neighbours::{Nearest, nearest_before};
 use crate::{Result, evenly, rng, statistics};
@@ -36,6 +36,9 @@ const STEPS: [f64; 4] = [2.0, 1.0, 0.5, 0.25];
 /// Largest number of powers that compare correlation functions, and of neighbours that predict each.
 const COMPARED: usize = 1_200;
 const NEIGHBOURS: usize = 48;
+
+/// Number of coordinates of a [`Place`].
+const WIDTH: usize = 4;
 
 /// Power of one link.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -120,7 +123,7 @@ impl<'a> Powers<'a> {
         let mut by_receiver = vec![Vec::new(); receivers];
         links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
         let cases = by_receiver.par_iter().map(|receiver_links| select_cases(links, receiver_links)).collect();
-        let site = SiteSize::new(links.iter().map(|link| in_metres(link.place)));
+        let site = SiteSize::new(links.iter().map(|link| position_of(link.place)));
         Self { links, by_receiver, cases, rows, mean: [mean_power, mean_log], site }
     }
 
@@ -143,8 +146,10 @@ impl<'a> Powers<'a> {
         let scale = statistics::mean(self.rows.iter().map(|row| row[0] * row[0]));
         let evaluate = |at: [f64; 2]| -> Result<(f64, f64)> {
             check()?;
-            let (variance, value) = best_variance(&self.moments(&searched, &correlation(at)), scale);
-            Ok((value - 0.5 * ((at[0] - self.start()[0]) / LENGTH_SPREAD).powi(2), variance))
+            let (variance, log_likelihood) = best_variance(&self.moments(&searched, &correlation(at)), scale);
+            let ([length, _], [prior_length, _]) = (at, self.start());
+            let log_prior = -0.5 * ((length - prior_length) / LENGTH_SPREAD).powi(2);
+            Ok((log_likelihood + log_prior, variance))
         };
         let longest = (LENGTHS[1] * self.site.longest).max(LENGTH * self.site.spacing);
         let ranges = [[LENGTHS[0] * self.site.spacing, longest], NOISE].map(|range| range.map(f64::ln));
@@ -189,7 +194,7 @@ impl<'a> Powers<'a> {
         PathLoss { level: mean_power + level + slope * mean_log, slope }
     }
 
-    /// Returns the absolute errors of predictions from links of other blocks, each after its block.
+    /// Returns (block, absolute error) of predictions from links of other blocks.
     fn block_errors(&self, fit: &PooledFit) -> Vec<([i64; 3], f64)> {
         let observed = self.by_receiver.iter().filter(|links| !links.is_empty()).count();
         let count = (COMPARED / observed.max(1)).max(1);
@@ -199,13 +204,13 @@ impl<'a> Powers<'a> {
     /// Returns the errors of [`Self::block_errors`] at `count` of the `links` of one receiver.
     fn receiver_errors(&self, fit: &PooledFit, links: &[usize], count: usize) -> Vec<([i64; 3], f64)> {
         let edge = self.site.block_edge();
-        let block = |i: usize| block_of(in_metres(self.links[i].place), edge);
+        let block = |i: usize| block_of(position_of(self.links[i].place), edge);
         let residual = |i: usize| {
             let link = &self.links[i];
             link.value - fit.path_losses[link.receiver].power(link.log_distance.unwrap_or(0.0))
         };
         let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
-        let nearest = Nearest::new(links, 4, scaled);
+        let nearest = Nearest::new(links, WIDTH, scaled);
         let blocks: Vec<[i64; 3]> = links.iter().map(|&i| block(i)).collect();
         let error = |&i: &usize| {
             let held_out = block(i);
@@ -220,9 +225,9 @@ impl<'a> Powers<'a> {
     }
 }
 
-/// Maximises `evaluate`, which returns a value and its variance, from the point `at` within `ranges`: steps along each axis, and
-/// in opposite directions, since longer lengths go with less noise. Returns the best point and the result of `evaluate` there, or
-/// its error.
+/// Maximises the first number of `evaluate` from the point `at`, logarithms of length and noise, within `ranges`. Steps
+/// change one of them, or both in opposite directions, since longer lengths go with less noise. Returns the best point and
+/// the result of `evaluate` there, or its error.
 fn search_pattern(
     mut at: [f64; 2],
     ranges: [[f64; 2]; 2],
@@ -256,18 +261,13 @@ fn select_cases(links: &[PowerLink], receiver_links: &[usize]) -> Vec<Case> {
     let first = (CASES / 2).min(order.len());
     let later: Vec<usize> = (first..order.len()).collect();
     let ranks: Vec<usize> = (0..first).chain(evenly(&later, CASES - first)).collect();
-    let given = nearest_before(&order, &ranks, GIVEN, 4, |i| links[i].place);
+    let given = nearest_before(&order, &ranks, GIVEN, WIDTH, |i| links[i].place);
     ranks.iter().map(|rank| order[*rank]).zip(given).collect()
 }
 
 /// Returns the mean of values; 0 without any, or if it is not finite.
 fn finite_mean(values: impl Iterator<Item = f64>) -> f64 {
     Some(statistics::mean(values)).filter(|mean| mean.is_finite()).unwrap_or(0.0)
-}
-
-/// Returns a place without its time.
-fn in_metres([x, y, z, _]: Place) -> [f64; 3] {
-    [x, y, z]
 }
 
 #[cfg(test)]

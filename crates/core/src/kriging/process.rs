@@ -18,7 +18,7 @@ pub struct ResidualTrend {
 }
 
 impl ResidualTrend {
-    /// Returns the expected value for `predicted` by a model and a moving end `at` a place (metres from the origin).
+    /// Returns the expected value for the value `predicted` by a model, with the moving end at a place, metres from the origin.
     pub fn expected(&self, predicted: Real, [x, y, z, _]: Place) -> f64 {
         let power = |(path_loss, end): (PathLoss, _)| path_loss.power(log_distance([x, y, z], end));
         self.share * predicted as f64 + (1.0 - self.share) * self.path_loss.map_or(0.0, power)
@@ -74,7 +74,7 @@ pub fn fit_observations(data: &Dataset, links: &[usize], time: bool, check: Stop
 }
 
 /// Fits Kriging to the known `links` of received powers: one fit per receiver, with a common correlation and variance. A
-/// receiver without links has the path loss of all.
+/// receiver without links has the path-loss model that all share.
 ///
 /// # Errors
 /// An error of `check`.

@@ -1,7 +1,7 @@
 //! Likelihood of observations of many values, such as spectra, whose values share one correlation.
 
 use super::likelihood::{SearchSpace, search};
-use super::{Correlation, CorrelationKind, Place, StopCheck, factor_covariance};
+use super::{Correlation, CorrelationKind, Place, StopCheck, factor_covariance, position_of};
 use crate::neighbours::distance;
 use crate::statistics::{bounds, sorted};
 use crate::{Cholesky, Real, Result, evenly};
@@ -33,19 +33,19 @@ struct Block {
     factor: Vec<f64>,
 }
 
-/// Returns the most likely correlation of the observations of `links` links, and its process variance per value. `place` and
+/// Returns the most likely correlation of the observations of `count` links, and its process variance per value. `place` and
 /// `values` return the place and the values of a link; `time` adds a time scale.
 ///
 /// # Errors
 /// An error of `check`, which is called several times per second.
 pub fn fit_spectra(
-    links: usize,
+    count: usize,
     place: impl Fn(usize) -> Place,
     values: impl Fn(usize) -> Vec<Real> + Sync,
     time: bool,
     check: StopCheck<'_>,
 ) -> Result<(Correlation, f64)> {
-    let places: Vec<Place> = (0..links).map(place).collect();
+    let places: Vec<Place> = (0..count).map(place).collect();
     let blocks = evenly(&compact_blocks(&places, BLOCK), BLOCKS);
     let likelihood = JointLikelihood::new(&blocks, |k| places[k], values);
     let space = SearchSpace { kinds: &KINDS, isotropic: false, time };
@@ -63,7 +63,7 @@ fn compact_blocks(places: &[Place], most: usize) -> Vec<Vec<usize>> {
     blocks
 }
 
-/// Halves a block of places along its longest side; the lower half has the middle place of an odd number.
+/// Halves a block of places along the longest side of its box; of an odd number, the lower half has one more.
 fn halve(places: &[Place], mut block: Vec<usize>) -> [Vec<usize>; 2] {
     let side = |axis: usize| {
         let (low, high) = bounds(block.iter().map(|&k| places[k][axis]));
@@ -145,10 +145,9 @@ impl Block {
 
     /// Returns the distance from each place to the nearest other one, metres; infinity for a single place.
     fn spacings_m(&self) -> Vec<f64> {
-        let space = |[x, y, z, _]: Place| [x, y, z];
         let nearest = |i: usize| {
             let others = self.places.iter().enumerate().filter(|(j, _)| *j != i);
-            others.map(|(_, at)| distance(space(*at), space(self.places[i]))).fold(f64::INFINITY, f64::min)
+            others.map(|(_, at)| distance(position_of(*at), position_of(self.places[i]))).fold(f64::INFINITY, f64::min)
         };
         (0..self.places.len()).map(nearest).collect()
     }
@@ -171,6 +170,7 @@ impl Block {
             row.iter_mut().for_each(|v| *v /= pivot);
             ones[i] /= pivot;
         }
+        // Sum over the rows of each column, weighted by the whitened ones: the mean explains this part.
         let (mut along, mut squares) = (vec![0.0; n], 0.0);
         for (i, row) in white.chunks_exact(n.max(1)).enumerate() {
             for (along, v) in along.iter_mut().zip(&row[..=i]) {

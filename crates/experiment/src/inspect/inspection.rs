@@ -193,7 +193,7 @@ fn list_splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
     // A fold has the test set of another split.
     let others = registered::<dyn Split>().into_iter().filter(|name| *name != "Fold").filter_map(|name| {
         let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
-        (split.ready().is_ok() && ron_line(&split) != name).then(|| (split, format!("{name}()")))
+        (split.check_ready().is_ok() && ron_line(&split) != name).then(|| (split, format!("{name}()")))
     });
     [(pipeline.split.clone(), format!("{name} *"))].into_iter().chain(others).collect()
 }

@@ -63,8 +63,7 @@ pub(super) fn log_likelihood(moments: &[Moments], variance: f64) -> f64 {
     -0.5 * (squares - dot(shared.sum, mean) + logs + log_determinant)
 }
 
-/// Returns the posterior means of level and slope of each receiver, `T + t_j` and the rise `-(G + g_j)`, about the means of
-/// the data.
+/// Returns the posterior means of the level `T + t_j` and the rise `-(G + g_j)` of each receiver, about the means of the data.
 pub(super) fn trends(moments: &[Moments], variance: f64) -> Vec<[f64; 2]> {
     let shared = marginalise(moments, variance).0;
     let common = multiply(invert(shared.precision).0, shared.sum);
@@ -77,19 +76,19 @@ pub(super) fn trends(moments: &[Moments], variance: f64) -> Vec<[f64; 2]> {
     moments.iter().map(trend).collect()
 }
 
-/// Information of powers on level and slope: precision and weighted sum.
+/// Information of powers on level and rise: precision and weighted sum.
 struct Information {
     precision: Matrix,
     sum: [f64; 2],
 }
 
 impl Information {
-    /// Returns the information of the powers of one receiver, given its process variance.
+    /// Returns the information of the powers of one receiver, given the process variance.
     fn new(moments: &Moments, variance: f64) -> Self {
-        let [[_, level, rise], [_, a, b], [_, _, c]] = moments.products;
+        let [[_, power, power_log], [_, one, log], [_, _, log_log]] = moments.products;
         Self {
-            precision: [[a / variance, b / variance], [b / variance, c / variance]],
-            sum: [level / variance, rise / variance],
+            precision: [[one / variance, log / variance], [log / variance, log_log / variance]],
+            sum: [power / variance, power_log / variance],
         }
     }
 }
@@ -126,7 +125,7 @@ fn posterior(mut precision: Matrix) -> (Matrix, f64) {
     (covariance, log_determinant - (prior[0][0] * prior[1][1]).ln())
 }
 
-/// Returns the diagonal precision of standard deviations.
+/// Returns the precision of two independent numbers with these standard deviations.
 fn diagonal([a, b]: [f64; 2]) -> Matrix {
     [[1.0 / (a * a), 0.0], [0.0, 1.0 / (b * b)]]
 }

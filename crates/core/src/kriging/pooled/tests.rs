@@ -10,7 +10,7 @@ fn links() -> Vec<PowerLink> {
         let (n, receiver) = (i as f64, i % 3);
         let r = receiver as f64;
         let place = [3.0 * (1.7 * n).sin() + 0.1 * n, 4.0 * (2.3 * n * n).cos(), 0.0, 0.0];
-        let log = super::super::log_distance(in_metres(place), receivers[receiver]);
+        let log = super::super::log_distance(position_of(place), receivers[receiver]);
         let fading = 4.0 * (place[0] + r).sin() + 2.0 * (1.3 * place[1]).cos() + 1.5 * (12.9898 * n).sin();
         let value = -50.0 + 5.0 * r - (20.0 + 2.0 * r) * log + fading;
         PowerLink { receiver, place, log_distance: Some(log), value }
@@ -80,7 +80,7 @@ fn likelihood_trends_and_predictions_match_dense_covariances() {
         let weights = solve(&correlation, Mean::Zero, &places, correlation.scaled(at)).weights;
         let residual = |link: &PowerLink| link.value - found[1].power(link.log_distance.unwrap());
         let sum: f64 = own.iter().zip(weights).map(|(link, weight)| weight * residual(link)).sum();
-        close(found[1].power(super::super::log_distance(in_metres(at), [5.0, 5.0, 2.0])) + sum, prediction);
+        close(found[1].power(super::super::log_distance(position_of(at), [5.0, 5.0, 2.0])) + sum, prediction);
     }
 }
 
