@@ -25,30 +25,36 @@ impl TensorBundle {
         Self { note, arrays: BTreeMap::new() }
     }
 
-    /// Adds numbers in single precision, row by row.
+    /// Adds an array of numbers in single precision, row by row.
+    ///
+    /// # Panics
+    /// If the numbers do not fill `shape`.
     pub fn put(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = Real>) {
         let bytes: Vec<u8> = values.into_iter().flat_map(|v| (v as f32).to_le_bytes()).collect();
         self.insert(name, Dtype::F32, shape, bytes);
     }
 
-    /// Adds identifiers.
+    /// Adds an array of identifiers.
     pub fn put_ids(&mut self, name: &str, ids: &[u32]) {
         self.insert(name, Dtype::U32, &[ids.len()], ids.iter().flat_map(|id| id.to_le_bytes()).collect());
     }
 
-    /// Adds bytes, row by row.
+    /// Adds an array of bytes, row by row.
+    ///
+    /// # Panics
+    /// If the bytes do not fill `shape`.
     pub fn put_bytes(&mut self, name: &str, shape: &[usize], bytes: Vec<u8>) {
         self.insert(name, Dtype::U8, shape, bytes);
     }
 
-    /// Adds an array.
+    /// Adds an array, and replaces one of the same name.
     fn insert(&mut self, name: &str, dtype: Dtype, shape: &[usize], bytes: Vec<u8>) {
-        let size = if dtype == Dtype::U8 { 1 } else { 4 };
-        assert_eq!(shape.iter().product::<usize>() * size, bytes.len(), "an array fills its shape");
+        let bytes_per_number = if dtype == Dtype::U8 { 1 } else { 4 };
+        assert_eq!(shape.iter().product::<usize>() * bytes_per_number, bytes.len(), "an array fills its shape");
         self.arrays.insert(name.into(), (dtype, shape.to_vec(), bytes));
     }
 
-    /// Serialises the bundle.
+    /// Serialises the bundle as safetensors; `web/tensors.js` finds the note in its metadata under `pwrfgs`.
     pub fn to_bytes(&self) -> Vec<u8> {
         let views = self.arrays.iter().map(|(name, (dtype, shape, bytes))| {
             (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("an array fills its shape"))
@@ -71,8 +77,9 @@ pub struct PartitionedData<'a> {
     pub links: &'a [usize],
 }
 
-/// Returns the room: receivers, bounds, colour tables, at most `points` surface points, and transmitter, set and score
-/// of every link. `setup` is that of the model; `means` are points that the room must contain if there are no data.
+/// Returns the room: receivers, bounds and colour tables; of `measured` data also at most `points` surface points, and
+/// transmitter, receiver, set and score of each link on the page. `setup` is that of the model. Without data, the bounds
+/// contain the receivers and `means`, metres from [`origin`].
 pub fn room(
     setup: &MeasurementSetup,
     measured: Option<PartitionedData<'_>>,
@@ -90,23 +97,24 @@ pub fn room(
     tensors
 }
 
-/// Describes a [`room`] as JSON: properties of the task and the plane, receivers, bounds, and title of the data.
+/// Describes a [`room`] as JSON for `web/stage.js`: properties of the task and the plane, receivers, bounds, and title of
+/// the data.
 fn describe_room(setup: &MeasurementSetup, measured: Option<PartitionedData<'_>>, means: &[[Real; 3]]) -> Value {
     let origin = origin(setup, measured.map(|measured| measured.data));
-    let (receivers, local, at) = match measured {
+    let (receivers, local_frame, poses) = match measured {
         Some(measured) => {
             (&measured.data.scene.receivers, measured.data.scene.origin, measured.data.scene.fixed_ends())
         }
         None => (&setup.receivers, setup.origin, setup.receivers.iter().map(|receiver| receiver.pose).collect()),
     };
     let names = receivers.iter().map(|receiver| receiver.name.as_str());
-    let poses: Vec<(&str, Pose)> = names.zip(at.into_iter().map(|pose| local.world_pose(pose))).collect();
-    let plane = &setup.plane;
+    let poses: Vec<(&str, Pose)> = names.zip(poses.into_iter().map(|pose| local_frame.world_pose(pose))).collect();
+    let (plane, [_, unit]) = (&setup.plane, setup.task.level_name_at(&setup.receivers));
     let mut note = json!({
         "format": "pwrfgs-room",
         "has_pixels": setup.task.has_pixels,
         "is_scalar": setup.task.is_scalar,
-        "unit": setup.task.level_name_at(&setup.receivers)[1],
+        "unit": unit,
         "score": { "name": setup.task.headline.name, "higher": setup.task.headline.higher },
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles,
@@ -127,12 +135,12 @@ fn describe_room(setup: &MeasurementSetup, measured: Option<PartitionedData<'_>>
     note
 }
 
-/// Returns the origin of all coordinates of a page.
+/// Returns the origin of all coordinates of a page: that of the data, or without data that of the model.
 pub fn origin(setup: &MeasurementSetup, data: Option<&Dataset>) -> Origin {
     data.map_or(setup.origin, |data| data.scene.origin)
 }
 
-/// Adds the point cloud, and transmitter, receiver, set and score of each link.
+/// Adds at most `points` surface points, and transmitter, id, receiver, score and set of each of `links`.
 fn put_data(
     tensors: &mut TensorBundle,
     PartitionedData { data, partition, scores, links }: PartitionedData<'_>,
@@ -148,7 +156,7 @@ fn put_data(
     tensors.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
 }
 
-/// Describes a receiver as JSON: name, position in metres from `origin`, and boresight.
+/// Describes a receiver as JSON: name, position in metres from `origin`, and boresight as a unit vector.
 fn describe_receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
     json!({ "name": name, "position": origin.local(pose.position), "boresight": pose.turned([0.0, 0.0, 1.0]) })
 }
@@ -162,9 +170,8 @@ fn bounding_box(points: impl Iterator<Item = [Real; 3]>) -> Value {
     if low[0] > high[0] { json!([[-1, -1, -1], [1, 1, 1]]) } else { json!([low, high]) }
 }
 
-/// Returns the means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx`
-/// (metres, world frame) the values for a transmitter at this position. A strength is the grey value of the Gaussian
-/// alone, if it were opaque.
+/// Returns the Gaussians of all members: `means` and `scales` `[N,3]`, `quats` `[N,4]`, `opacities` and [`strengths`]
+/// `[N,1]`; the means in metres from `origin`. With `tx` (metres, world frame), they are those for a transmitter there.
 pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> TensorBundle {
     let mut tensors = TensorBundle::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
@@ -178,7 +185,8 @@ pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> T
     tensors
 }
 
-/// Returns the strengths of the Gaussians, `[N]`; 0 if the method has none.
+/// Returns the strengths of the Gaussians, `[N]`: the pixel value that each would give alone if it were opaque; 0 if it
+/// depends on the transmitter and none is given.
 pub fn strengths(gaussians: &Activated) -> Vec<Real> {
     gaussians.strengths.clone().unwrap_or_else(|| vec![0.0; gaussians.primitives.len()])
 }
@@ -204,8 +212,8 @@ pub const FILES: [(&str, &str); 11] = [
     ("report.js", include_str!("../web/report.js")),
 ];
 
-/// Joins all modules to one script without imports, each of which is one line, for a self-contained page; `last` is
-/// appended.
+/// Joins all modules to one script for a self-contained page, and appends `last`. Removes the imports, each of which is
+/// one line, and the word `export`.
 pub fn bundle(last: &str) -> String {
     let mut script = String::from("\"use strict\";\n");
     for (_, text) in FILES {
