@@ -144,13 +144,14 @@ impl VectorPath {
     /// Adds an arrow centred at `[x, y]`; `[u, v]` is the vector from its centre to its tip.
     pub fn add_arrow(&mut self, [x, y]: Point, [u, v]: Point) {
         let tip = [x + u, y + v];
+        // The ends of the head are 0.55 of the vector behind the tip, and 0.35 of it beside the shaft.
         let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
         self.add_line(&[[x - u, y - v], tip]);
         self.add_line(&[barb(1.0), tip, barb(-1.0)]);
     }
 
-    /// Returns whether all points are finite and the shape is visible: a line of length 0 is visible only
-    /// with round ends.
+    /// Returns whether all points are finite, and two of them differ; equal points are visible as a dot if the ends are
+    /// round.
     fn is_visible(&self, paint: &Paint) -> bool {
         let points_of = |step: &Step| match *step {
             Step::Move(p) | Step::Line(p) => Some([p, p]),
@@ -226,7 +227,7 @@ pub enum Shape {
     Circle(Point, f64, Paint),
     /// Text.
     Text(Text),
-    /// Image: corner, width and height.
+    /// Image: upper left corner, then width and height.
     RasterImage(Point, Point, RasterImage),
     /// Another drawing, scaled and then moved.
     Group(Point, f64, Vec<Self>),
@@ -264,12 +265,12 @@ impl Canvas {
         self.path(VectorPath::of(points), paint);
     }
 
-    /// Adds a filled area within `corners`.
+    /// Adds a closed polygon.
     pub fn polygon(&mut self, corners: &[Point], paint: Paint) {
         self.path(VectorPath::of(corners).closed(), paint);
     }
 
-    /// Adds a rectangle by its corner and size.
+    /// Adds a rectangle by its upper left corner, width and height.
     pub fn rect(&mut self, [x, y]: Point, [width, height]: Point, paint: Paint) {
         self.polygon(&[[x, y], [x + width, y], [x + width, y + height], [x, y + height]], paint);
     }
@@ -281,7 +282,7 @@ impl Canvas {
         }
     }
 
-    /// Adds text, unless its position is not finite.
+    /// Adds text as one line, unless its position is not finite.
     fn add_text(&mut self, at: Point, anchor: Anchor, upright: bool, words: &str) {
         if is_finite_point(&at) {
             let words = single_line(words);
@@ -289,7 +290,7 @@ impl Canvas {
         }
     }
 
-    /// Adds text on a base line.
+    /// Adds text at a point of its base line.
     pub fn text(&mut self, at: Point, anchor: Anchor, words: impl AsRef<str>) {
         self.add_text(at, anchor, false, words.as_ref());
     }
@@ -308,12 +309,12 @@ impl Canvas {
         }
     }
 
-    /// Adds an image by its corner and size.
+    /// Adds an image by its upper left corner, width and height.
     pub fn pixels(&mut self, at: Point, size: Point, pixels: RasterImage) {
         self.shapes.push(Shape::RasterImage(at, size, pixels));
     }
 
-    /// Adds an image by its corner and size, with a thin frame.
+    /// Adds an image with a thin frame, by its upper left corner, width and height.
     pub fn framed_pixels(&mut self, at: Point, size: Point, pixels: RasterImage) {
         self.pixels(at, size, pixels);
         self.rect(at, size, Paint::stroke(INK, 0.6));
@@ -325,7 +326,7 @@ impl Canvas {
     }
 }
 
-/// Returns the text from untrusted files as one line without control characters.
+/// Returns text from untrusted files as one line: white space becomes blanks, and control characters `\u{fffd}`.
 pub fn single_line(text: &str) -> String {
     messages::escape_control(&text.replace(char::is_whitespace, " "))
 }

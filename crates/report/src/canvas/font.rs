@@ -13,7 +13,7 @@ fn glyph(letter: char) -> (GlyphId, f64) {
     (glyph, f64::from(FACE.glyph_hor_advance(glyph).unwrap_or(0)) / f64::from(FACE.units_per_em()))
 }
 
-/// Returns the width of text at the height of charts.
+/// Returns the width of text of height [`TEXT`].
 pub fn text_width(words: &str) -> f64 {
     TEXT * words.chars().map(|c| glyph(c).1).sum::<f64>()
 }
@@ -78,15 +78,15 @@ impl OutlineBuilder for Pen {
     }
 }
 
-/// Breaks `text` after commas into lines no wider than `width`, longer parts at spaces, but not between a word and its
-/// number; longer words are cut.
+/// Breaks `text` of height [`TEXT`] after commas into lines no wider than `width`, longer parts at spaces, but not between
+/// a word and its number; longer words are cut. Empty text has no lines.
 pub fn wrap_text(text: &str, width: f64) -> Vec<String> {
     let lines = break_after(text, ", ", width);
     let parts = |line: &String| join_numbers_to_words(break_after(line, " ", width), width);
     lines.iter().flat_map(parts).map(|line| truncate_text(&line, width)).collect()
 }
 
-/// Moves the last word of a line to the next line if that begins with its number, and both fit.
+/// Moves the last of several words of a line to the next line if that begins with a number, and both fit into `width`.
 fn join_numbers_to_words(mut lines: Vec<String>, width: f64) -> Vec<String> {
     for k in 1..lines.len() {
         let is_number = lines[k].starts_with(|c: char| c.is_ascii_digit() || "=-−+.".contains(c));
@@ -111,17 +111,14 @@ fn break_after(text: &str, mark: &str, width: f64) -> Vec<String> {
     lines.iter().map(|line| line.trim_end().to_owned()).collect()
 }
 
-/// Returns `text` if it fits into `width`, otherwise the longest start that fits with two dots.
+/// Returns `text` of height [`TEXT`] if it fits into `width`, otherwise the longest start that fits with two dots.
 pub fn truncate_text(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();
     }
-    let mut room = width - text_width("..");
-    let fits = |letter: &char| {
-        room -= TEXT * glyph(*letter).1;
-        room >= 0.0
-    };
-    text.chars().take_while(fits).collect::<String>().trim_end().to_owned() + ".."
+    let fits = |end: &usize| text_width(&text[..*end]) + text_width("..") <= width;
+    let end = text.char_indices().map(|(end, _)| end).take_while(fits).last().unwrap_or(0);
+    text[..end].trim_end().to_owned() + ".."
 }
 
 #[cfg(test)]

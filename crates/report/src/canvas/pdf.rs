@@ -22,7 +22,7 @@ impl Canvas {
         let scale = width_mm * POINTS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| Short(length * scale));
         let mut page = Page::default();
-        // In PDF, y points up from the bottom of the page.
+        // In PDF, y points up from the bottom of the page. `1 j` joins strokes round.
         page.append(format_args!("{scale:.6} 0 0 -{scale:.6} 0 {height} cm 1 j\n"));
         page.draw_shapes(&self.shapes);
         let mut file = File::new();
@@ -191,7 +191,7 @@ impl File {
         self.add_object(|bytes| bytes.extend_from_slice(body.as_bytes()));
     }
 
-    /// Adds an object with `content` as a compressed stream; `entries` are those of its dictionary.
+    /// Adds an object with `content` as a compressed stream, and further `entries` of its dictionary.
     fn add_stream(&mut self, entries: &str, content: &[u8]) {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
         let packed = encoder.write_all(content).and_then(|()| encoder.finish()).expect("memory takes all bytes");
@@ -211,7 +211,7 @@ impl File {
         self.bytes.extend_from_slice(b"\nendobj\n");
     }
 
-    /// Adds an image and, if present, its mask.
+    /// Adds an image, after its mask if it has one; [`Canvas::pdf`] numbers the objects in this order.
     fn add_image(&mut self, pixels: &RasterImage) {
         let (width, height, smooth) = (pixels.width, pixels.height, pixels.smooth);
         let entries = |colours: &str| {
@@ -230,7 +230,7 @@ impl File {
         self.add_stream(&rgb_entries, &rgb);
     }
 
-    /// Appends the table of objects, and returns the file.
+    /// Appends the table of object offsets, and returns the file.
     fn finish(mut self) -> Vec<u8> {
         let (start, count) = (self.bytes.len(), self.offsets.len() + 1);
         let mut table = format!("xref\n0 {count}\n0000000000 65535 f \n");

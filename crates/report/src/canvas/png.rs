@@ -6,11 +6,14 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use tiny_skia as skia;
 
-/// Pixels per millimetre: 300 dpi.
+/// Pixels per millimetre, for 300 dpi.
 const PIXELS_PER_MM: f64 = 300.0 / 25.4;
 
 impl Canvas {
-    /// Returns the PNG on white, `width_mm` wide.
+    /// Returns the PNG on white, `width_mm` wide at 300 dpi.
+    ///
+    /// # Panics
+    /// If the canvas has no width or height.
     pub fn png(&self, width_mm: f64) -> Vec<u8> {
         let scale = width_mm * PIXELS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| (length * scale).round() as u32);
@@ -67,7 +70,7 @@ fn to_skia_path(path: &VectorPath) -> Option<skia::Path> {
     builder.finish()
 }
 
-/// Fills and strokes a path.
+/// Fills and strokes a path, if there is one.
 fn draw_path(paper: &mut skia::Pixmap, path: Option<skia::Path>, paint: &Paint, transform: skia::Transform) {
     let Some(path) = path else { return };
     if let Some(colour) = paint.fill {
@@ -94,7 +97,7 @@ fn to_skia_paint(colour: Colour) -> skia::Paint<'static> {
     paint
 }
 
-/// Draws an image with its corner at `[x, y]`, scaled to `size`.
+/// Draws an image with its upper left corner at `[x, y]`, scaled to `size`.
 fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &RasterImage, transform: skia::Transform) {
     let colours = pixels.rgba.chunks_exact(4).map(|p| skia::ColorU8::from_rgba(p[0], p[1], p[2], p[3]).premultiply());
     let bytes = colours.flat_map(|c| [c.red(), c.green(), c.blue(), c.alpha()]).collect();

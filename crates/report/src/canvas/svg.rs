@@ -9,7 +9,8 @@ use pwrfgs_core::messages;
 use std::fmt::Write as _;
 
 impl Canvas {
-    /// Returns the SVG for a page: text uses the font of the page, and style sheets select it by `class`.
+    /// Returns the SVG for a page: text uses the font of the page, style sheets select it by `class`, and screen readers
+    /// read `title`.
     pub fn svg(&self, class: &str, title: &str) -> String {
         self.to_svg(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", escape_xml(title)), false)
     }
@@ -119,7 +120,7 @@ impl Writer {
         for step in &path.0 {
             match step {
                 Step::Move([x, y]) => self.append(format_args!("M{} {}", Short(*x), Short(*y))),
-                // A dot.
+                // A dot: with round ends, a segment of length 0 is visible.
                 Step::Line(_) if last == Some(*step) => self.out.push_str("h0"),
                 Step::Line([x, y]) => self.append(format_args!("L{} {}", Short(*x), Short(*y))),
                 Step::Quad([x1, y1], [x, y]) => {
@@ -176,7 +177,8 @@ impl std::fmt::Display for Short {
     }
 }
 
-/// Escapes text for XML and HTML, in elements and quoted attributes; keeps line breaks.
+/// Escapes text for XML and HTML, in elements and quoted attributes. Control characters except newlines and tabs become
+/// `\u{fffd}`.
 pub fn escape_xml(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in messages::escape_control(text).chars() {
