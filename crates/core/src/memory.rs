@@ -1,15 +1,15 @@
 //! One limit on the memory that a reader or a computation holds, which is compared with its need before the work.
 
 /// Maximum memory of one reader or computation, bytes: 16 GiB.
-const MOST: u64 = 1 << 34;
+const MAX_BYTES: u64 = 1 << 34;
 
 /// Amount that is accepted without asking the system, bytes: 64 MiB.
-const LITTLE: u64 = 1 << 26;
+const UNCHECKED_BYTES: u64 = 1 << 26;
 
 /// Returns the memory that one reader or computation may hold, bytes: [`free_memory`], at most 16 GiB; 16 GiB if it is
 /// unavailable.
 fn memory_limit() -> u64 {
-    free_memory().map_or(MOST, |bytes| bytes.min(MOST))
+    free_memory().map_or(MAX_BYTES, |bytes| bytes.min(MAX_BYTES))
 }
 
 /// Rejects work that holds more than [`free_memory`] or 16 GiB. Work of up to 64 MiB is always accepted.
@@ -18,7 +18,7 @@ fn memory_limit() -> u64 {
 /// The message begins with `needs`: the caller names the file or the work. It states both amounts and the next step, which is
 /// `advice`.
 pub fn check_memory(bytes: u64, advice: &str) -> Result<(), String> {
-    if bytes <= LITTLE {
+    if bytes <= UNCHECKED_BYTES {
         return Ok(());
     }
     let limit = memory_limit();
@@ -82,7 +82,7 @@ mod tests {
         assert_eq!(memory_entry(text, "MemAvailable:"), Some(20_123_456 << 10));
         assert_eq!(memory_entry("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
         assert_eq!(memory_entry("VmHWM: unlimited\n", "VmHWM:"), None);
-        assert!((1_000_000..=MOST).contains(&memory_limit()));
+        assert!((1_000_000..=MAX_BYTES).contains(&memory_limit()));
         if cfg!(target_os = "linux") {
             assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
         }

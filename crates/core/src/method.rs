@@ -139,8 +139,9 @@ pub trait Method: crate::plugin::PluginObject {
         MethodTraits::default()
     }
 
-    /// Returns the `loss` of the predictions, averaged over links, and its derivative, if predictions need not leave the
-    /// device in between; otherwise `None`, and the caller computes the loss between [`Method::forward`] and [`Method::vjp`].
+    /// Runs forward pass, `loss` and backward pass on the device of the process; returns the loss, averaged over links, and its
+    /// derivative. `None` if the method cannot: the caller then computes the loss between [`Method::forward`] and
+    /// [`Method::vjp`].
     fn loss_vjp(&self, call: &Call<'_>, loss: &SpectrumLoss<'_>) -> Option<(Real, MethodVjp)> {
         None
     }
@@ -151,7 +152,7 @@ pub trait Method: crate::plugin::PluginObject {
         None
     }
 
-    /// Returns the memory of a step over `links` with `pixels` values each.
+    /// Returns the memory of a step over `links` links with `pixels` values each.
     fn cost(&self, setup: &MeasurementSetup, links: usize, pixels: usize) -> Cost {
         Cost { pixels, ..Cost::default() }
     }
@@ -178,8 +179,9 @@ pub trait Method: crate::plugin::PluginObject {
     /// parameters, or `None`; both give bit-identical results.
     fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput;
 
-    /// Adds the derivatives of the parameters and the statistics to `sums`, given the cotangents `d` of
-    /// [`ForwardOutput::numbers`]. `observed` is the result of [`Self::forward`] for the same call.
+    /// Adds the derivatives of the parameters and of the inputs that `sums` has, and the statistics, to `sums`, given the
+    /// cotangents `d` of [`ForwardOutput::numbers`]. `observed` is the result of [`Self::forward`] for the same call; the
+    /// caller may have taken its numbers.
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp);
 
     /// Returns statistics of each Gaussian's effect on the observations, with measured values `truths` `[L, numbers]`.

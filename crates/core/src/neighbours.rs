@@ -123,8 +123,8 @@ impl Nearest {
         self.find(at, 1).1.first().map_or(f64::INFINITY, |nearest| nearest.0)
     }
 
-    /// Returns all samples exactly at `at`, in their order in the list, and the `k` nearest, nearest first, with distances:
-    /// fewer if there are not enough, one if `k` is 0. Ties go to the lower sample index.
+    /// Returns all samples exactly at `at`, in their order in the list, and the `k` nearest as (distance, sample), nearest
+    /// first: fewer if there are not enough, one if `k` is 0. Ties go to the lower sample index.
     pub fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
         self.find_where(at, k, |_| true)
     }

@@ -71,6 +71,7 @@ pub trait Lanes: Sized {
     fn dots<S: Simd, const M: usize, const N: usize>(simd: S, a: [&[Self]; M], b: [&[Self]; N]) -> [[Self; N]; M];
 }
 
+/// Implements [`Lanes`] for a type with the operations that [`Simd`] names after it.
 macro_rules! lanes {
     ($real:ty, $vectors:ident, $vectors_mut:ident, $splat:ident, $mul_add:ident, $load:ident, $sum:ident) => {
         impl Lanes for $real {

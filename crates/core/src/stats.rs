@@ -109,7 +109,7 @@ impl CloudStats {
         }
     }
 
-    /// Adds the accumulated statistics of the same Gaussians at another step.
+    /// Adds the accumulated statistics of the same Gaussians from other renders.
     pub fn merge(&mut self, other: &Self) {
         for i in 0..self.visible.len() {
             self.visible[i] += other.visible[i];
