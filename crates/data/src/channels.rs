@@ -324,8 +324,8 @@ impl ReceiverFile {
 }
 
 impl ChannelMetadata {
-    /// Completes the settings of `source` from `receiver.yml` in the folder `root`. The file is read only if a setting is missing,
-    /// and need not exist if that is the spacing. Returns an error for a missing or invalid file.
+    /// Completes the settings of `source` from `receiver.yml` in the folder `root`. The file is read only if a setting is
+    /// missing, and need not exist if that is the spacing. Returns an error for a missing or invalid file.
     fn read(source: &Channels, root: &Path, moving: End) -> Result<Self> {
         let path = root.join("receiver.yml");
         if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(receiver), .. } = source

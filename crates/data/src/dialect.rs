@@ -93,7 +93,9 @@ impl<'a> TableText<'a> {
             return Err(Error::input(path, format!("is empty; {advice}")));
         };
         // A header in a comment begins with its mark, but a name may begin with it, too.
-        let lines = numbered_lines(&text).take(EXAMINED).flat_map(|(n, line)| [(n, line, line), (n, line, bare(line))]);
+        let lines = numbered_lines(&text)
+            .take(EXAMINED)
+            .flat_map(|(n, line)| [(n, line, line), (n, line, strip_comment_mark(line))]);
         let name_count = |line: &str, mark| split(line, mark).filter(|cell| is_name(cell)).count();
         let ranked = lines.flat_map(|line @ (.., names)| MARKS.map(|mark| (name_count(names, mark), mark, line)));
         let best = ranked.reduce(|best, other| if other.0 > best.0 { other } else { best });
@@ -137,7 +139,7 @@ impl<'a> TableText<'a> {
         Ok(Self { path, text, mark: None, has_decimal_commas: false, names, name_columns, header: None, skipped: 0 })
     }
 
-    /// Sets separator, decimal mark, header and names from the first lines. Returns an error for an empty table.
+    /// Sets separator, decimal mark, header and names from the first lines. Returns an error for a table without a row.
     fn recognise(&mut self) -> Result<()> {
         let text = std::mem::take(&mut self.text);
         let (mark, width) = detect_separator(&text);
@@ -151,7 +153,7 @@ impl<'a> TableText<'a> {
         if rows.is_empty() && split(first, mark).all(|cell| cell.parse::<f64>().is_err()) {
             return Err(Error::input(self.path, "has a header but no row; write one row per reading"));
         }
-        self.skipped = first_line;
+        self.skipped = first_line; // a name may have a comma or a point
         self.has_decimal_commas = self.has_decimal_commas_in(&text);
         let is_number = |cell: &str| parse_number(cell, self.has_decimal_commas).is_some();
         // A header names a column that holds numbers.
@@ -161,7 +163,8 @@ impl<'a> TableText<'a> {
             names.len() == width && (0..width).any(is_named)
         };
         let above = numbered_lines(&text).take_while(|(line, _)| *line < first_line);
-        let comment = above.filter(|(_, line)| is_comment(line)).last().map(|(n, line)| (n, line, bare(line)));
+        let comment =
+            above.filter(|(_, line)| is_comment(line)).last().map(|(n, line)| (n, line, strip_comment_mark(line)));
         let header = [Some((first_line, first, first)), comment].into_iter().flatten().find(names_numbers);
         self.skipped = header.map_or(first_line - 1, |(line, ..)| line);
         self.set_names(header, width);
@@ -213,7 +216,7 @@ impl<'a> TableText<'a> {
     pub(crate) fn counted_rows(&self, progress: Progress<'_>) -> impl Iterator<Item = Result<TextRow<'_>>> {
         /// Number of lines between two reports of progress.
         const STEP: usize = 256;
-        let total = self.row_count();
+        let total = self.line_count();
         self.rows().inspect(move |row| {
             if let Ok(TextRow { line, .. }) = row
                 && line % STEP == 0
@@ -223,14 +226,14 @@ impl<'a> TableText<'a> {
         })
     }
 
-    /// Returns an upper limit of the number of rows: the lines that are not blank.
-    pub(crate) fn row_count(&self) -> usize {
+    /// Returns the number of lines that are not blank: an upper limit of the number of rows.
+    pub(crate) fn line_count(&self) -> usize {
         numbered_lines(&self.text).count()
     }
 
     /// Rejects a table whose rows do not fit into memory, with this many bytes each.
     pub(crate) fn check_rows(&self, row_bytes: usize) -> Result<()> {
-        let bytes = self.row_count() as u64 * row_bytes as u64;
+        let bytes = self.line_count() as u64 * row_bytes as u64;
         check_memory(bytes, SPLIT_ADVICE).map_err(|fault| Error::input(self.path, fault))
     }
 
@@ -273,7 +276,7 @@ impl<'a> TableText<'a> {
         format!("{}: separated by {separator}{decimals}, {header}", self.path.display())
     }
 
-    /// Returns the header and the lines below it, unchanged, `count` + 1 in all.
+    /// Returns the header and the lines below it, unchanged, at most `count` + 1 in all.
     pub(crate) fn head(&self, count: usize) -> Vec<String> {
         let rows = numbered_lines(&self.text).filter(|(line, _)| Some(*line) == self.header || *line > self.skipped);
         rows.take(count + 1).map(|(_, line)| line.to_owned()).collect()
@@ -332,8 +335,8 @@ fn expand(path: &Path, bytes: &[u8]) -> Result<Vec<u8>> {
     Ok(expanded)
 }
 
-/// Returns a line without the mark of a comment.
-fn bare(line: &str) -> &str {
+/// Returns a line without the mark of a comment, which includes the `%` of MATLAB.
+fn strip_comment_mark(line: &str) -> &str {
     line.trim_start_matches(['#', '/', ' ', '%'])
 }
 
@@ -361,8 +364,8 @@ fn has_numbers(rows: &[Vec<&str>], k: usize, is_number: &dyn Fn(&str) -> bool) -
     values.peek().is_some() && values.all(is_number)
 }
 
-/// Returns the separator that gives the most of the first lines one number of fields, at least two, and that number; `None`:
-/// blanks. Returns a comma and one field if no separator does.
+/// Returns the separator (`None`: blanks) by which most of the first lines have an equal number of fields, at least two, and
+/// that number; a comma and one field if there is none. In a tie, it splits the most lines, or is the first of [`MARKS`].
 fn detect_separator(text: &str) -> (Option<char>, usize) {
     let lines: Vec<&str> =
         numbered_lines(text).map(|(_, line)| line).filter(|line| !is_comment(line)).take(EXAMINED).collect();

@@ -39,7 +39,8 @@ impl<F> TextRow<'_, F> {
         Error::at(self.path, self.line, column, problem)
     }
 
-    /// Parses a finite number in a field of this line. Returns an error with the next step `advice` for other text.
+    /// Parses a number in a field of this line. Returns an error with the next step `advice` for other text, and for a number
+    /// that is not finite as [`Real`].
     pub(crate) fn number(&self, field: TextField<'_>, advice: &str) -> Result<f64> {
         let parse = |text: &str| parse_number(text, self.has_decimal_commas);
         let value = parse(field.text).filter(|value| (*value as Real).is_finite());
@@ -210,8 +211,8 @@ pub(crate) fn is_comment(line: &str) -> bool {
     line.starts_with('#') || line.starts_with("//")
 }
 
-/// Returns slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally:
-/// a face of a mesh may have a million corners in one line.
+/// Returns the `parts` of `line`, slices of it in order, each with its column: characters, counted from 1. Columns are counted
+/// incrementally: a face of a mesh may have a million corners in one line.
 pub(crate) fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
     let (mut last, mut column) = (0, 1);
     let field = |text: &'a str| {
@@ -223,7 +224,7 @@ pub(crate) fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a s
     parts.map(field).collect()
 }
 
-/// Returns the problem with a point of a binary file, metres; `None` if it is valid.
+/// Returns the problem with a point of a binary file, metres, as an adjective; `None` if it is valid.
 pub(crate) fn point_fault(point: [f64; 3]) -> Option<String> {
     let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })

@@ -15,7 +15,7 @@ pub(super) const SHOWN: usize = 5;
 
 /// Columns of a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct PlaceColumns {
+pub(super) struct PositionColumns {
     /// Columns of x and y, or of longitude and latitude.
     pub(super) plane: [usize; 2],
     /// Column of the height, metres.
@@ -24,8 +24,8 @@ pub(super) struct PlaceColumns {
     pub(super) is_geodetic: bool,
 }
 
-impl PlaceColumns {
-    /// Creates the columns of a position from the first two coordinates: x and y in metres, latitude and longitude in degrees.
+impl PositionColumns {
+    /// Creates the columns of a position from those of x and y, or of latitude and longitude if they are geodetic.
     pub(super) fn new([a, b]: [usize; 2], height: Option<usize>, is_geodetic: bool) -> Self {
         Self { plane: if is_geodetic { [b, a] } else { [a, b] }, height, is_geodetic }
     }
@@ -59,7 +59,7 @@ impl<'a> ColumnSearch<'a> {
         self.table.fault(None, problem)
     }
 
-    /// Lists columns.
+    /// Lists the names of columns, as [`list`].
     pub(super) fn list(&self, columns: impl IntoIterator<Item = usize>) -> String {
         list(columns.into_iter().map(|k| &*self.table.names[k]))
     }
@@ -95,15 +95,15 @@ impl<'a> ColumnSearch<'a> {
         Ok(candidates.first().copied())
     }
 
-    /// Returns the columns of the position; `None` without two coordinates. Degrees are recognised by the names latitude and
-    /// longitude and their range, or declared by `is_lat_lon`. Returns an error for two positions, for half of one, and for
-    /// metres that look like degrees.
-    pub(super) fn position_columns(&self, is_lat_lon: bool) -> Result<Option<PlaceColumns>> {
+    /// Returns the columns of the position; `None` without any coordinate. Degrees are recognised by the names latitude and
+    /// longitude and their range, or declared by `is_lat_lon`. Returns an error for two positions, half of one, another unit
+    /// than metres, and metres that look like degrees.
+    pub(super) fn position_columns(&self, is_lat_lon: bool) -> Result<Option<PositionColumns>> {
         let ColumnChoice { x, y, z, lat, lon, .. } = self.choice;
         let height = self.find("--z", z.as_ref(), Z)?;
         let degrees = [self.find("--lat", lat.as_ref(), LAT)?, self.find("--lon", lon.as_ref(), LON)?];
         let metres = [self.find("--x", x.as_ref(), X)?, self.find("--y", y.as_ref(), Y)?];
-        let (has_metres, has_degrees) = (x.is_some() || y.is_some(), lat.is_some() || lon.is_some());
+        let (chose_metres, chose_degrees) = (x.is_some() || y.is_some(), lat.is_some() || lon.is_some());
         for k in metres.into_iter().chain([height]).flatten() {
             let (_, unit) = split_unit(&self.table.names[k]);
             if !is_lat_lon && !is_metre(unit) {
@@ -112,12 +112,12 @@ impl<'a> ColumnSearch<'a> {
             }
         }
         match (metres, degrees) {
-            ([Some(x), Some(y)], [Some(lat), Some(lon)]) if has_metres == has_degrees => {
+            ([Some(x), Some(y)], [Some(lat), Some(lon)]) if chose_metres == chose_degrees => {
                 let problem = format!("{} and {} could each be the position", self.list([x, y]), self.list([lat, lon]));
                 Err(self.fault(format!("{problem}; name one pair with --x and --y, or with --lat and --lon")))
             }
-            ([Some(x), Some(y)], _) if !has_degrees => {
-                let columns = PlaceColumns::new([x, y], height, is_lat_lon);
+            ([Some(x), Some(y)], _) if !chose_degrees => {
+                let columns = PositionColumns::new([x, y], height, is_lat_lon);
                 if !is_lat_lon && self.is_like_degrees(columns) {
                     let problem = format!("{} look like degrees", self.list(columns.plane));
                     return Err(self.fault(format!("{problem}; add --lat-lon, or --lat COLUMN --lon COLUMN")));
@@ -127,7 +127,7 @@ impl<'a> ColumnSearch<'a> {
             (_, [Some(lat), Some(lon)]) => {
                 let is_in = |k: usize, limit: f64| self.values(k).all(|v| v.abs() <= limit);
                 let is_geodetic = is_lat_lon || is_in(lat, 90.0) && is_in(lon, 180.0);
-                Ok(Some(PlaceColumns { plane: [lon, lat], height, is_geodetic }))
+                Ok(Some(PositionColumns { plane: [lon, lat], height, is_geodetic }))
             }
             ([None, None], [None, None]) => Ok(None),
             _ => Err(self.fault(
@@ -136,15 +136,16 @@ impl<'a> ColumnSearch<'a> {
         }
     }
 
-    /// Returns whether metres look like degrees: a site of less than 20 cm, more than a metre away from zero.
-    fn is_like_degrees(&self, columns: PlaceColumns) -> bool {
+    /// Returns whether coordinates look like degrees: a site of less than 0.2 (20 cm if they were metres, about 20 km as
+    /// degrees), more than 1 away from zero, and at most 180.
+    fn is_like_degrees(&self, columns: PositionColumns) -> bool {
         columns.plane.into_iter().all(|k| {
             let (low, high) = self.values(k).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
             self.rows.len() > 1 && high - low < 0.2 && low.abs().min(high.abs()) > 1.0 && high.abs() <= 180.0
         })
     }
 
-    /// Returns the numbers of a column in the first rows.
+    /// Returns the numbers of a column in the first rows; other cells are skipped.
     pub(super) fn values(&self, k: usize) -> impl Iterator<Item = f64> + '_ {
         self.rows.iter().filter_map(move |row| row.optional(*row.fields.get(k)?, "").ok().flatten())
     }
@@ -161,7 +162,7 @@ impl<'a> ColumnSearch<'a> {
 
     /// Returns the column of names in a table of places or receivers: by its name, else the first that is no coordinate. Returns
     /// an error if there is none.
-    pub(super) fn name_column(&self, place: PlaceColumns) -> Result<usize> {
+    pub(super) fn name_column(&self, place: PositionColumns) -> Result<usize> {
         let is_name = |k: &usize| is_one_of(&self.names[*k], RECEIVER) || is_one_of(&self.names[*k], PLACE);
         let is_other = |k: &usize| place.all().all(|column| column != *k);
         let columns = 0..self.names.len();

@@ -7,7 +7,7 @@ use pwrfgs_core::{Dataset, Error, Geodetic, Link, Location, Pose, Real, Receiver
 use std::collections::HashMap;
 
 impl Survey<'_> {
-    /// Makes the data set. Returns an error if no power was received, if several floors have no height, if the file of --tx
+    /// Creates the data set. Returns an error if no power was received, if several floors have no height, if the file of --tx
     /// has more rows than the readings, or if --receivers has a position of no receiver with a reading.
     pub(super) fn finish(mut self) -> Result<ImportedTable> {
         let path = &self.import.files.first().map(|file| file.path.clone()).unwrap_or_default();
@@ -24,7 +24,7 @@ impl Survey<'_> {
             let problem = "holds no received power; write one row per reading, or check --missing";
             return Err(Error::input(path, problem));
         }
-        (self.groups, self.places.first) = Default::default(); // no row follows
+        (self.groups, self.places.first) = Default::default(); // frees memory: no row follows
         self.separate_repetitions();
         self.readings.sort_unstable_by_key(|reading| (reading.location, reading.receiver));
         let receivers = self.linked_receivers();
@@ -83,7 +83,7 @@ impl Survey<'_> {
     }
 
     /// Returns the receivers, `None` for those without a reading. Those of unknown position are at the first position of a
-    /// transmitter.
+    /// transmitter until they are estimated.
     fn linked_receivers(&self) -> Vec<Option<Receiver>> {
         let mut is_linked = vec![false; self.receivers.len()];
         self.readings.iter().for_each(|reading| is_linked[reading.receiver as usize] = true);

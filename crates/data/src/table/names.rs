@@ -38,7 +38,7 @@ pub(super) fn normalised_name(name: &str) -> String {
     split_unit(name).0.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// Returns whether a normalised name is one of a list of names.
+/// Returns whether a normalised name is one of `names`, which blanks separate.
 pub(super) fn is_one_of(name: &str, names: &str) -> bool {
     names.split(' ').any(|other| other == name)
 }
@@ -51,9 +51,9 @@ pub(super) struct Affixes {
 }
 
 impl Affixes {
-    /// Finds the text that all `columns` share around their names, whatever the case; of several texts the one that leaves the
-    /// most names of `placed`. The text and a name do not divide a word or a number. `None` without such a text, or if a
-    /// column is itself in `placed`.
+    /// Finds the text that all `columns` have before and after the names of their receivers, in either case: the one that
+    /// leaves the most names of `placed`, the receivers of known position. It ends where a word or number does. `None` without
+    /// such a text, or if a column is itself in `placed`.
     pub(super) fn find(columns: &[&str], placed: &[&str]) -> Option<Self> {
         let lower = |names: &[&str]| names.iter().map(|name| name.to_ascii_lowercase()).collect::<Vec<_>>();
         let (columns, placed) = (lower(columns), lower(placed));

@@ -1,6 +1,6 @@
 //! Positions in tables: of rows, places and receivers, in metres or degrees.
 
-use super::columns::{ColumnSearch, PlaceColumns};
+use super::columns::{ColumnSearch, PositionColumns};
 use super::options::{ColumnChoice, TableImport};
 use crate::dialect::{GROWING, TableFile, TableText};
 use crate::text::TextRow;
@@ -23,13 +23,13 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// Reads the position in a row, metres, with `height` if the table has none. Returns an error for an empty or invalid
-    /// coordinate.
+    /// Reads the position in a row, metres, with `height` if the table has none; the first one in degrees sets the zero. Returns
+    /// an error for an empty or invalid coordinate.
     pub(super) fn read(
         &mut self,
         table: &TableText<'_>,
         row: &TextRow<'_>,
-        columns: PlaceColumns,
+        columns: PositionColumns,
         height: f64,
     ) -> Result<[f64; 3]> {
         let coordinate = |k: usize| -> Result<f64> {
@@ -72,8 +72,8 @@ impl Frame {
         Ok(places)
     }
 
-    /// Reads the positions of rows, metres, one per row of the readings. Returns an error for a table or a row without a
-    /// position.
+    /// Reads the positions of rows, metres, one per row of the readings. Without a header, the first columns are x, y and z, or
+    /// latitude, longitude and height. Returns an error for a table or a row without a position.
     pub(super) fn read_rows(&mut self, import: &TableImport, file: &TableFile) -> Result<Vec<[f64; 3]>> {
         let table = TableText::read(file)?;
         let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
@@ -82,7 +82,7 @@ impl Frame {
             Some(columns) => columns,
             None if table.header.is_none() && table.names.len() >= 2 => {
                 let height = (table.names.len() > 2).then_some(2);
-                PlaceColumns { plane: [0, 1], height, is_geodetic: import.is_lat_lon }
+                PositionColumns::new([0, 1], height, import.is_lat_lon)
             }
             None => return Err(search.fault("no position; write the columns x, y and z")),
         };
@@ -91,8 +91,8 @@ impl Frame {
         table.rows().map(|row| self.read(&table, &row?, columns, height)).collect()
     }
 
-    /// Converts latitude and longitude to metres. The first position, rounded to a hundredth of a degree, is the zero. Returns
-    /// an error for degrees out of range.
+    /// Converts latitude and longitude to metres east and north. The first position, rounded to a hundredth of a degree, is the
+    /// zero. Returns an error for degrees out of range.
     fn metres(&mut self, row: &TextRow<'_>, [latitude, longitude]: [f64; 2]) -> Result<[f64; 2]> {
         let rounded = |degrees: f64| (degrees * 100.0).round() / 100.0;
         let zero = self.geodetic.unwrap_or(Geodetic { latitude: rounded(latitude), longitude: rounded(longitude) });
@@ -117,7 +117,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Returns the index of a position, or of one so far within [`SAME_M`].
+    /// Returns the index of a position so far within [`SAME_M`], else of this position, which is added.
     pub(super) fn index(&mut self, position: [f64; 3]) -> u32 {
         let cell = position.map(|v| (v / SAME_M).floor() as i64);
         // The cube of the position and those around it.

@@ -1,6 +1,6 @@
 //! Columns of received powers: one of all readings, or one per receiver.
 
-use super::columns::{ColumnSearch, PlaceColumns};
+use super::columns::{ColumnSearch, PositionColumns};
 use super::names::{FLOOR, LAT, LON, OTHER, POWER, RECEIVER, TX_ID, X, Y, Z, is_one_of};
 use crate::text::is_empty_cell;
 use pwrfgs_core::Result;
@@ -13,14 +13,14 @@ const LARGEST: f64 = 300.0;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum PowerColumns {
     /// A row per reading: column of the power, of the receiver, and of the position of the receiver.
-    Long { power: usize, receiver: Option<usize>, place: Option<PlaceColumns> },
+    Long { power: usize, receiver: Option<usize>, place: Option<PositionColumns> },
     /// A row per transmitter, a column per receiver.
     Wide(Vec<usize>),
 }
 
 impl ColumnSearch<'_> {
     /// Returns the columns of the received powers: those that the user chose, else those recognised outside of `used`. Returns
-    /// an error if none or several suit.
+    /// an error if none or several suit, or if a column of names may be that of the receivers.
     pub(super) fn power_columns(&self, used: &[usize], is_lat_lon: bool) -> Result<PowerColumns> {
         if !self.choice.wide.is_empty() {
             return self.chosen_wide().map(PowerColumns::Wide);
@@ -64,12 +64,14 @@ impl ColumnSearch<'_> {
     }
 
     /// Returns the columns of the receiver's position beside a reading, such as `rx_x`; `None` without them.
-    fn receiver_position_columns(&self, is_lat_lon: bool) -> Option<PlaceColumns> {
+    fn receiver_position_columns(&self, is_lat_lon: bool) -> Option<PositionColumns> {
         let prefixed = |ends: &str| self.names.iter().position(|name| is_receiver_column(name, ends));
         let height = prefixed("z height altitude alt");
         let pair = |a: &str, b: &str| Some([prefixed(a)?, prefixed(b)?]);
-        let metres = pair("x", "y").map(|plane| PlaceColumns::new(plane, height, is_lat_lon));
-        metres.or_else(|| pair("lat latitude", "lon longitude lng").map(|plane| PlaceColumns::new(plane, height, true)))
+        let metres = pair("x", "y").map(|plane| PositionColumns::new(plane, height, is_lat_lon));
+        metres.or_else(|| {
+            pair("lat latitude", "lon longitude lng").map(|plane| PositionColumns::new(plane, height, true))
+        })
     }
 
     /// Returns the columns that match the patterns of the user. Returns an error for a pattern without a column.

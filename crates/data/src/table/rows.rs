@@ -1,6 +1,6 @@
 //! `RowReader`: where the rows of one table have their position and their powers.
 
-use super::columns::{ColumnSearch, PlaceColumns, list};
+use super::columns::{ColumnSearch, PositionColumns, list};
 use super::options::TableImport;
 use super::powers::PowerColumns;
 use crate::dialect::TableText;
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 /// Position of a row.
 pub(super) enum RowPlace {
-    Columns(PlaceColumns),
+    Columns(PositionColumns),
     /// Column with the name of a place.
     Name(usize),
     /// Next row of another file.
@@ -56,6 +56,7 @@ impl<'a> RowReader<'a> {
             RowPlace::Next => Vec::new(),
         };
         let powers = search.power_columns(&used, import.is_lat_lon)?;
+        // A file per receiver has its name; a single file may have it in the header.
         let receiver_name = match (&import.columns.receiver, &powers) {
             (Some(name), _) => name.clone(),
             (None, PowerColumns::Long { power, .. }) if import.files.len() == 1 && table.header.is_some() => {

@@ -137,7 +137,7 @@ impl<'a> Survey<'a> {
 
     /// Rejects a table whose readings do not fit into memory with those so far.
     fn check_memory(&self, reader: &RowReader<'_>) -> Result<()> {
-        let rows = reader.table.row_count();
+        let rows = reader.table.line_count();
         let check = |readings: usize| {
             let [rows, readings] = [self.spots.len() + rows, self.readings.len() + readings].map(|count| count as u64);
             check_memory(ROW * rows + READING * readings, SPLIT_ADVICE)
@@ -225,8 +225,8 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// Returns the index of the position of a row, and adds its floor to `floors`. Returns an error if the position is missing
-    /// or invalid, or for a floor that is no number.
+    /// Returns the index of the position of a row in `places`, where a new one is added, and adds its floor to `floors`. Returns
+    /// an error if the position is missing or invalid, or for a floor that is no number.
     fn position_index(&mut self, reader: &RowReader<'_>, row: &TextRow<'_>) -> Result<u32> {
         let TableImport { height, floor_height, .. } = self.import;
         let mut height = height.unwrap_or(0.0);

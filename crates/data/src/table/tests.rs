@@ -270,6 +270,10 @@ fn other_files_state_places_receivers_and_test_set() {
     assert_eq!(links(&imported)[2], ([4.0, 5.0, 6.0], "a1", -45.0));
     let error = read("a1,a2\n-40,-50\n", TableImport { tx, ..TableImport::default() }).unwrap_err();
     assert!(error.contains("the file of --tx has more rows"), "{error}");
+    // Latitude is the first column without a header, too.
+    let import = TableImport { tx: write("degrees.txt", "48.137 11.575\n48.138 11.575\n"), ..TableImport::default() };
+    let imported = read("a1,a2\n-40,-50\n-45,-55\n", TableImport { is_lat_lon: true, ..import }).unwrap();
+    assert_eq!(imported.data.scene.geodetic.unwrap().latitude, 48.14);
 
     let [training, test] =
         [file("a.csv", "x,y,w1,w2\n0,0,-40,-50\n"), file("b.csv", "x,y,w1,w2\n0,0,-41,-51\n2,0,-45,-55\n")];
