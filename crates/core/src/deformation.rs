@@ -27,7 +27,7 @@ pub trait Deformation: crate::plugin::PluginObject {
         (self.forward(inputs, &None), None)
     }
 
-    /// Precomputes the transmitter-independent part of [`Self::forward`] from weights and centres, for repeated
+    /// Precomputes the transmitter-independent part of [`Self::forward`] from weights, centres and pose, for repeated
     /// predictions. `None` if all computations depend on the transmitter.
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
         None

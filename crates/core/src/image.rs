@@ -258,7 +258,7 @@ impl ImagePlane {
         self.elevation().is_some_and(|elevation| elevation.first.min(elevation.last) < -1e-9)
     }
 
-    /// Returns azimuth and elevation of a pixel in degrees, or `None` if the plane has no angles.
+    /// Returns azimuth and elevation of the pixel at (column `px`, row `py`), degrees; `None` if the plane has no angles.
     pub fn azimuth_elevation_deg(&self, px: Real, py: Real) -> Option<(Real, Real)> {
         self.angles.map(|(az, el)| ((az.first + az.step * px as f64) as Real, (el.first + el.step * py as f64) as Real))
     }

@@ -4,8 +4,8 @@ use super::{Correlation, CorrelationKind, Mean, Place, Solution, StopCheck, posi
 use crate::{Real, Result, neighbours, statistics::sorted};
 use rayon::prelude::*;
 
-/// Range of the noise; below it, coinciding positions are dominated by rounding.
-const NOISE: [f64; 2] = [1e-4, 1e2];
+/// Range of the noise, in units of the process variance; below it, coinciding positions are dominated by rounding.
+pub(super) const NOISE: [f64; 2] = [1e-4, 1e2];
 /// Range of the length scales, in units of the sample distance.
 const SCALE: [f64; 2] = [1e-2, 1e4];
 /// Range of the time scale, and its start, samples.

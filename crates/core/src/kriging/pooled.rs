@@ -8,7 +8,7 @@
 
 mod marginal;
 
-use super::likelihood::IMPROVEMENT;
+use super::likelihood::{IMPROVEMENT, NOISE};
 use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, StopCheck, position_of, solve};
 use crate::blocks::{SiteSize, block_mean, block_of};
 use crate::neighbours::{Nearest, nearest_before};
@@ -28,8 +28,7 @@ const LENGTH: f64 = 4.0;
 const LENGTH_SPREAD: f64 = 1.5;
 /// Shortest length in units of the spacing, and longest in units of the longest side of the site.
 const LENGTHS: [f64; 2] = [0.5, 2.0];
-/// Range and start of the noise, in units of the process variance.
-const NOISE: [f64; 2] = [1e-4, 1e2];
+/// Start of the noise, in units of the process variance.
 const NOISE_START: f64 = 0.3;
 /// Step sizes of the search over length and noise, in powers of two.
 const STEPS: [f64; 4] = [2.0, 1.0, 0.5, 0.25];

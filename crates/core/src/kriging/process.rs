@@ -43,7 +43,7 @@ pub struct ProcessFit {
 }
 
 impl ProcessFit {
-    /// Creates the process from the places of known links (metres from the origin). The mean of their residuals is zero with a
+    /// Creates the predictor of the process from the places of known links (metres from the origin). The mean of their residuals is zero with a
     /// path-loss model, otherwise unknown.
     pub fn process(&self, places: impl Iterator<Item = Place>) -> LocalKriging {
         let mean = if self.trend.path_loss.is_some() { Mean::Zero } else { Mean::Unknown };
