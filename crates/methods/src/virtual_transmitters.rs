@@ -73,7 +73,8 @@ fn antenna_positions(receiver: &Receiver, pose: Pose) -> Vec<[Real; 3]> {
     receiver.antennas.iter().map(|antenna| pose.turned(*antenna).map(|x| x as Real)).collect()
 }
 
-/// Groups the links by carrier, each group with the positions `[L,3]` of the moving node, metres.
+/// Groups the links by carrier, each of which is a receiver of the setup. Returns each group with the positions `[L, 3]` of the
+/// moving node, metres from the origin.
 fn carrier_groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
     let position = |i: &usize| txs.get(links.pairs[*i].location).copied();
@@ -235,9 +236,14 @@ const MOST: usize = 1_000;
 impl MatchingPursuit {
     /// Returns the largest number of additions and removals of one search.
     pub fn most_changes(&self) -> usize {
-        let half = self.most / 2;
-        let removed = if self.hold_out < 2 { 0 } else { half };
-        self.most + removed + self.rounds * (half + removed)
+        let replaced = self.most_removals();
+        let removed = if self.hold_out < 2 { 0 } else { replaced };
+        self.most + removed + self.rounds * (replaced + removed)
+    }
+
+    /// Returns the largest number of sources that one round removes and the next replaces.
+    fn most_removals(&self) -> usize {
+        self.most.div_ceil(2)
     }
 
     /// Returns the training channels at the lowest carrier, which the search reads; an error if data or method do not
@@ -259,7 +265,8 @@ impl MatchingPursuit {
         })
     }
 
-    /// Returns the options of a search: the fixed node as candidate if its distances are known, harmonics of the method.
+    /// Returns the options of a search, with the fixed node as a candidate if its position is known, and the harmonics of the
+    /// method.
     fn pursuit_options(&self, input: &InitializerInput<'_>, seed: u64) -> PursuitOptions {
         let scene = &input.data.scene;
         let node = scene.has_distances().then(|| scene.pose().position);
@@ -287,6 +294,7 @@ impl ObservedChannels<'_> {
 
 #[typetag::serde]
 impl Initializer for MatchingPursuit {
+    /// Places the Gaussians at random in the bounds of the scene: there are no data to search.
     fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let (low, high) = scene.bounds;
         let mut cloud = GaussianCloud::zeros(self.searches * self.most);

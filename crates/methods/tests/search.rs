@@ -78,6 +78,12 @@ fn finds_virtual_transmitters_of_room() {
 }
 
 #[test]
+fn most_changes_counts_removals_of_an_odd_number() {
+    let settings = MatchingPursuit { most: 3, rounds: 0, ..MatchingPursuit::default() };
+    assert_eq!(settings.most_changes(), 5, "three additions, and removals down to one source");
+}
+
+#[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn finds_rotation_of_mirrored_array() {
     // A planar array on a wall y = const: its reflection in x equals a rotation about y, and so on.
@@ -136,7 +142,7 @@ fn reports_unsupported_search_input() {
     let changed = |settings| PursuitOptions { settings, ..options() };
     let h = [[1.0, 0.0]; 3];
     for (links, h, options, word) in [
-        (links, &h[..2], options(), "2 complex numbers for 3 links"),
+        (links, &h[..2], options(), "2 complex numbers, expected 3"),
         (links, &[[0.0; 2]; 3][..], options(), "zero everywhere"),
         (links, &[[Real::NAN, 0.0]; 3][..], options(), "finite"),
         (ChannelInputs { frequencies: &[5.0], ..links }, &h[..], options(), "5 Hz"),

@@ -54,7 +54,7 @@ const fn taylor_coefficients<const N: usize>(first: usize) -> [f64; N] {
     out
 }
 
-/// [`taylor_coefficients`] in single precision.
+/// Returns [`taylor_coefficients`] in single precision.
 const fn taylor_coefficients_f32<const N: usize>(first: usize) -> [f32; N] {
     let (wide, mut out) = (taylor_coefficients::<N>(first), [0.0; N]);
     let mut k = 0;

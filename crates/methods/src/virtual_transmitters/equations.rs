@@ -49,8 +49,8 @@ impl NormalEquations {
         self.right.len()
     }
 
-    /// Returns the solution δ `[P]` with `damping` of each unknown added to the diagonal; `None` if the matrix is not
-    /// positive definite.
+    /// Returns the solution δ `[P]` with `damping` of each unknown added to the diagonal; `None` if the matrix is then not
+    /// positive definite, or the solution is not finite.
     pub(crate) fn solve(&self, damping: impl Fn(usize) -> f64) -> Option<Vec<f64>> {
         let p = self.unknown_count();
         let mut l = self.matrix.clone();
@@ -71,7 +71,7 @@ impl NormalEquations {
 }
 
 /// Computes the Cholesky decomposition of `a` `[P,P]` in place, row by row: the lower half becomes L. `None` if a pivot
-/// is not positive. Same as [`pwrfgs_core::Cholesky`] with wide vectors, because every refinement step solves.
+/// is not positive and finite. Same as [`pwrfgs_core::Cholesky`] with wide vectors, because every refinement step solves.
 fn factor_cholesky(a: &mut [f64], p: usize) -> Option<()> {
     for i in 0..p {
         let (above, row) = a.split_at_mut(i * p);
@@ -166,8 +166,8 @@ pub(crate) struct MeasurementRows {
 }
 
 impl MeasurementRows {
-    /// Creates the rows of the channel `h`, `[A,F]` per position, at the listed positions (`items`) and `values` of A·F.
-    /// Above `most` rows it draws an equal number per item at random, of at most `most` items, thinned evenly.
+    /// Creates the rows of the channel `h`, `[A,F]` per position, for the positions `items` and the `values`, indices below A·F.
+    /// Above `most` rows, it keeps at most `most` items, evenly, and draws an equal number of values per item at random.
     pub(crate) fn new(
         links: &ChannelInputs<'_>,
         h: &[&[[Real; 2]]],
@@ -212,7 +212,7 @@ impl MeasurementRows {
         self.h.iter().map(|[re, im]| re * re + im * im).sum()
     }
 
-    /// Returns the mean of |s|² over the directions of all links and over all sources.
+    /// Returns the mean of |s|² over the directions of all rows and over all sources.
     pub(crate) fn mean_signal_power(&self, sources: &VirtualSources) -> f64 {
         let power = |g: usize| {
             let received = |p: &[f64; 3]| directional_gain(sources.source_gains(g), sources.positions[g], *p);

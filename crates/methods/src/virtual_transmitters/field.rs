@@ -88,12 +88,13 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs
 /// d `[M,A,F]`.
 ///
 /// # Panics
-/// If `d` has another length than the field.
+/// If `d` has another length than the field, if there are fewer gates than Gaussians, or if the cloud has harmonics above the
+/// third order.
 pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>, d: &[[Real; 2]]) -> FieldVjp {
     assert_eq!(d.len(), links.value_count(), "one cotangent per link");
     let groups = antenna_groups(cloud, None, links);
     let per_metre = wavelengths_per_metre(links);
-    let block = links.positions.len().div_ceil(BLOCKS).max(64); // positions
+    let block = links.positions.len().div_ceil(BLOCKS).max(64); // positions; fewer are not worth a task
     let blocks = links.positions.len().div_ceil(block);
     let tasks = (0..groups.len() * blocks).into_par_iter().map(|t| {
         let (group, from) = (&groups[t / blocks], t % blocks * block);

@@ -39,8 +39,8 @@ struct Shell {
 }
 
 impl SearchGrid {
-    /// Returns the width of maxima at `position`, relative to that in the innermost shell, at least 1. Maximum moves and
-    /// the distance between distinct positions scale with it.
+    /// Returns the width of maxima at `position`, relative to that inside the cube of edge `side`: it grows with the distance
+    /// from the centre. Maximum moves and the distance between distinct positions scale with it.
     pub(crate) fn peak_width(&self, position: [f64; 3]) -> f64 {
         let off = [0, 1, 2].map(|k| (position[k] - self.centre[k]).abs());
         (2.0 * off.into_iter().fold(0.0, f64::max) / self.side).max(1.0)

@@ -85,7 +85,7 @@ pub(crate) fn directional_gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> 
     gains.iter().zip(y).fold([0.0; 2], |sum, (c, y)| [sum[0] + c[0] * y, sum[1] + c[1] * y])
 }
 
-/// Returns the unit vector from `v` to `p`, and the distance of at least [`CLOSEST`].
+/// Returns the unit vector from `v` to `p`, and the distance of at least [`CLOSEST`], within which the vector is shorter.
 pub(crate) fn direction_and_distance(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
     let by = [0, 1, 2].map(|k| p[k] - v[k]);
     let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(CLOSEST);

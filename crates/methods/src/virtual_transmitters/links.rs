@@ -50,7 +50,9 @@ impl ChannelInputs<'_> {
         let each = self.antennas.len() * self.frequencies.len();
         if channel.len() != self.positions.len() || channel.iter().any(|h| h.len() != each) {
             let (given, expected) = (channel.iter().map(|h| h.len()).sum::<usize>(), self.value_count());
-            return Err(format!("{given} complex numbers for {expected} links; give one per link"));
+            return Err(format!(
+                "{given} complex numbers, expected {expected}; give one per position, antenna and subcarrier"
+            ));
         }
         let values = || channel.iter().copied().flatten();
         if let Some((i, value)) = values().enumerate().find(|(_, value)| !value.iter().all(|part| part.is_finite())) {
@@ -151,8 +153,8 @@ impl VirtualSources {
     }
 }
 
-/// Returns the signal-to-noise ratio −10 log10(Σ|h' − h|²/Σ|h|²) of predicted channels over all links, dB; infinite if they
-/// are equal.
+/// Returns the signal-to-noise ratio −10 log10(Σ|h' − h|²/Σ|h|²) of predicted channels over all values, dB; infinite if they
+/// are equal, NaN if both are zero.
 pub fn snr_db<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
     let (mut error, mut energy) = (0.0, 0.0);
     for (p, t) in predicted.iter().zip(truth) {

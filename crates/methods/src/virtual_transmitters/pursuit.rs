@@ -17,14 +17,17 @@ use std::time::Instant;
 /// The grid is swept again if the remaining peaks explain less than this share of the previous best.
 const FADED: f64 = 1.0 / 3.0;
 
-/// Number of candidates that are refined before the best is selected.
+/// Number of the best candidates that are refined before one is selected.
 const CLIMB: usize = 32;
 
 /// Refinement steps of a candidate.
 const CLIMB_STEPS: usize = 8;
 
-/// Refinement steps after every addition.
+/// Refinement steps after every addition, twice.
 const STEPS: usize = 10;
+
+/// Ridge per row that keeps equations solvable without noise.
+const LEAST_RIDGE: f64 = 1e-12;
 
 /// Log odds above which a candidate is accepted without a new sweep of the whole grid.
 const BEYOND_DOUBT: f64 = 10.0;
@@ -42,7 +45,7 @@ pub struct PursuitOptions {
     pub settings: MatchingPursuit,
     /// Maximum number of values for the scores of the grid, for refinement after an addition, and for the last refinement.
     pub rows: [usize; 3],
-    /// Number of grid peaks that are refined before the best is selected.
+    /// Maximum number of candidates that a sweep of the grid keeps.
     pub peaks: usize,
     /// Position of the fixed node, metres, if known: a candidate that needs little evidence.
     pub node: Option<[f64; 3]>,
@@ -208,16 +211,17 @@ impl<'a> PursuitSearch<'a> {
     /// `rounds` times while the score improves. `best` is the best score (dB) with its sources.
     fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
         let (&MatchingPursuit { most, rounds, .. }, mut done) = (&self.options.settings, 0);
+        let replaced = self.options.settings.most_removals();
         for round in 0..=rounds {
             let (before, first) = (best.0, best.1.len() as f64);
-            // For the progress: later rounds replace at most the removed half.
-            let additions = if round == 0 { most } else { most / 2 };
+            // Counted as in `MatchingPursuit::most_changes`.
+            let additions = if round == 0 { most } else { replaced };
             let added = |sources: f64| done as f64 + (sources - first).clamp(0.0, additions as f64);
             self.add_sources(best, &mut |sources| report_progress(added(sources)));
             done += additions;
             if !self.held_out.is_empty() {
                 self.remove_sources(best, &mut |removed| report_progress((done + removed) as f64));
-                done += most / 2;
+                done += replaced;
             }
             if best.0 <= before || self.is_stopped() {
                 break;
@@ -239,7 +243,7 @@ impl<'a> PursuitSearch<'a> {
         let refined = 2.0 * begun.elapsed().as_secs_f64();
         let begun = Instant::now();
         _ = refine_positions(&self.rows, &mut sources, self.refine_options(1, self.smallest_ridge()));
-        let added = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64();
+        let added = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64(); // as `refine_sources`
         [refined + added, added]
     }
 
@@ -287,7 +291,7 @@ impl<'a> PursuitSearch<'a> {
             let noise = cost / self.rows.len() as f64;
             let signal = self.rows.mean_signal_power(sources) / sources.harmonic_count() as f64;
             let noise_to_signal = self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE);
-            let options = self.refine_options(steps, noise_to_signal + 1e-12 * self.rows.len() as f64);
+            let options = self.refine_options(steps, noise_to_signal + LEAST_RIDGE * self.rows.len() as f64);
             let Some(refined) = refine_positions(&self.rows, sources, options) else { return };
             cost = refined;
         }
@@ -330,7 +334,8 @@ impl<'a> PursuitSearch<'a> {
     }
 
     /// Returns the best of `cells` after individual refinement, with its odds as the best of `number` candidates. `None` if
-    /// every cell is close to a source or moves far away.
+    /// every cell moves by more than two wavelengths times [`SearchGrid::peak_width`], or to within an eighth of a wavelength
+    /// of a source.
     fn best_refined(
         &self,
         residual: &MeasurementRows,
@@ -346,8 +351,8 @@ impl<'a> PursuitSearch<'a> {
         let climb = |cell: &Cell| {
             let mut one = VirtualSources::default();
             one.push(cell.centre, self.grid.quats[cell.q], [0.0; 2]);
-            let left =
-                refine_positions(residual, &mut one, self.refine_options(CLIMB_STEPS, 1e-12 * residual.len() as f64))?;
+            let options = self.refine_options(CLIMB_STEPS, LEAST_RIDGE * residual.len() as f64);
+            let left = refine_positions(residual, &mut one, options)?;
             let (position, most) = (one.positions[0], 2.0 * self.wavelength * self.grid.peak_width(cell.centre));
             let moved_far = (0..3).any(|k| (position[k] - cell.centre[k]).abs() > most);
             let taken = sources.positions.iter().any(|v| distance(v, &position) < self.wavelength / 8.0);
@@ -370,7 +375,7 @@ impl<'a> PursuitSearch<'a> {
         RefineOptions {
             steps,
             ridge,
-            farthest: self.wavelength / 8.0,
+            farthest: self.wavelength / 8.0, // half of the basin of attraction
             turns: self.links.has_orientation(),
             grid: &self.grid,
             stop: self.stop,

@@ -85,8 +85,8 @@ fn minimum_cost(normal: &NormalEquations, solution: &[f64]) -> f64 {
 /// Returns the normal equations of a step from `sources`, without ridge or damping.
 fn normal_equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: Unknowns) -> NormalEquations {
     let p = unknowns.per_source(sources.harmonic_count()) * sources.len();
-    let pairs = rows.len().div_ceil(2);
-    let block = pairs.div_ceil(BLOCKS).max(32);
+    let pairs = rows.len().div_ceil(2); // of complex rows: four rows of J
+    let block = pairs.div_ceil(BLOCKS).max(32); // fewer are not worth a task
     let rotations: Vec<_> = sources.quats.iter().map(|q| rotation_matrix(*q)).collect();
     let gather = |b: usize| {
         let mut normal = NormalEquations::new(p);
@@ -115,8 +115,8 @@ fn normal_equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: 
     total
 }
 
-/// Sets `jacobian` to the derivatives of row `i` by all unknowns, real part then imaginary part `[2,P]`; returns the
-/// residual of h. `rotations` are the matrices of the quaternions of `sources`.
+/// Sets `jacobian` `[2,P]` to the derivatives of real and imaginary part of row `i` by all unknowns, in the order of
+/// [`Unknowns`]; returns the residual of h. `rotations` are the matrices of the quaternions of `sources`.
 fn fill_jacobian(
     rows: &MeasurementRows,
     i: usize,
@@ -127,8 +127,7 @@ fn fill_jacobian(
 ) -> [f64; 2] {
     let (n, terms) = (sources.len(), sources.harmonic_count());
     let (real, imaginary) = jacobian.split_at_mut(unknowns.per_source(terms) * n);
-    let wavenumber = std::f64::consts::TAU * rows.per_metre[i];
-    let mut residual = rows.h[i];
+    let (wavenumber, mut residual) = (std::f64::consts::TAU * rows.per_metre[i], rows.h[i]);
     for g in 0..n {
         let r = rotate_vector(&rotations[g], rows.r[i]);
         let wave = rows.wave(i, sources.positions[g], r);
@@ -149,12 +148,12 @@ fn fill_jacobian(
         // ∂(s·e)/∂d = s·e·(−jk − 1/d).
         let by_d = [wavenumber * received[1] - received[0] / wave.d, -wavenumber * received[0] - received[1] / wave.d];
         let along = wave.by.map(|x| x / wave.d);
-        let turn = if terms > 1 { direction_gradient(gains, u, far, wave.e) } else { [[0.0; 3]; 2] };
+        let by_u = if terms > 1 { direction_gradient(gains, u, far, wave.e) } else { [[0.0; 3]; 2] };
         let about =
             [r[1] * along[2] - r[2] * along[1], r[2] * along[0] - r[0] * along[2], r[0] * along[1] - r[1] * along[0]];
         for c in 0..3 {
             let at = 2 * terms * n + 3 * g + c;
-            (real[at], imaginary[at]) = (by_d[0] * along[c] + turn[0][c], by_d[1] * along[c] + turn[1][c]);
+            (real[at], imaginary[at]) = (by_d[0] * along[c] + by_u[0][c], by_d[1] * along[c] + by_u[1][c]);
             if unknowns == Unknowns::MovesAndTurns {
                 let at = at + 3 * n;
                 (real[at], imaginary[at]) = (by_d[0] * about[c], by_d[1] * about[c]);

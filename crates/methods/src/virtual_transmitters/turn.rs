@@ -6,7 +6,7 @@ pub(crate) type MatrixRows = [[f64; 3]; 3];
 /// Identity rotation.
 pub(crate) const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// Returns the unit quaternion; the identity for a zero quaternion.
+/// Returns q/|q|; the identity if |q| is close to zero or not finite.
 pub(crate) fn unit_quat(q: [f64; 4]) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length > 1e-30 && length.is_finite() { q.map(|x| x / length) } else { IDENTITY }
@@ -31,7 +31,8 @@ pub(crate) fn rotate_vector(r: &MatrixRows, v: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Computes the derivative of [`rotation_matrix`] of [`unit_quat`]: the cotangent of a quaternion of any length, given that of R.
+/// Computes the derivative of [`rotation_matrix`] of [`unit_quat`]: the cotangent of a quaternion of any length, given that
+/// of R; zero if [`unit_quat`] returns the identity instead.
 pub(crate) fn rotation_matrix_vjp(q: [f64; 4], d: &MatrixRows) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if !(length > 1e-30 && length.is_finite()) {

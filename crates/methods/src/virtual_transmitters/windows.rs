@@ -28,8 +28,8 @@ pub(crate) struct SearchLevel {
 }
 
 impl SearchLevel {
-    /// Creates the levels of a search from fine to coarse, with about `most` rows of the channel `h`, `[A,F]` per
-    /// position, at the positions `items` each. The last level has at most [`START`] cells, if its windows have enough values.
+    /// Creates the levels of a search from fine to coarse. Each has about `most` rows of the channel `h` (`[A,F]` per position)
+    /// at the positions `items`. The last level has at most [`START`] cells, if its windows have enough values.
     pub(crate) fn create_levels(
         links: &ChannelInputs<'_>,
         h: &[&[[Real; 2]]],
