@@ -28,7 +28,8 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Compares all links of `data` with their predictions.
+    /// Compares all links of `data` with their predictions; the model predicts such observations
+    /// ([`check_alike`](crate::check_alike)).
     ///
     /// # Errors
     /// If a spectrum cannot be read.
@@ -43,7 +44,7 @@ impl Agreement {
         let score_link = |(i, prediction): (&usize, Image)| {
             let (prediction, truth) = (task.shown(prediction), data.image(*i));
             let score = task.score(&prediction, &truth);
-            let deviation = ready.deviation(data.query(*i)).unwrap_or(1.0);
+            let deviation = ready.deviation(data.query(*i)).unwrap_or(1.0); // as in the calibration
             let is_out = |(_, factors): &(f64, IntervalFactors)| {
                 is_outside(&factors.interval(task, &prediction, deviation), &truth, score)
             };
@@ -71,14 +72,15 @@ impl Agreement {
         })
     }
 
-    /// Returns whether most links that should lie inside the intervals of the model lie outside, or most transmitters lie
-    /// outside its site. There, intervals are too wide to decide. False for a model without calibration.
+    /// Returns whether most links that should lie inside the intervals of the model lie outside, or most transmitters are
+    /// farther from the training positions than the site is long: so far away, intervals are too wide to decide. False for a
+    /// model without calibration.
     pub fn is_far(&self) -> bool {
         // With few calibration blocks, the level is low and many links of right data lie outside.
         let count = self.scores.len() as f64;
-        let is_outside = |(level, outside): (f64, usize)| count - (outside as f64) < level * count / 2.0;
+        let is_missed = |(level, outside): (f64, usize)| count - (outside as f64) < level * count / 2.0;
         let is_elsewhere = self.positions.is_some_and(|[_, (count, _)]| 2 * count > self.transmitters);
-        self.intervals.is_some_and(|interval| is_outside(interval) || is_elsewhere)
+        self.intervals.is_some_and(|interval| is_missed(interval) || is_elsewhere)
     }
 }
 

@@ -25,7 +25,7 @@ use std::path::Path;
 
 /// Number of test links predicted together.
 const CHUNK: usize = 64;
-/// Largest number of members with scores of their own.
+/// Largest ensemble whose members are scored one by one: each is a column of the score table.
 const MOST_SHOWN: usize = 4;
 
 /// Scores of a model and of the baselines.
@@ -42,8 +42,8 @@ impl ActiveRun<'_, '_> {
     /// also measures whether the spread of its members predicts the error.
     ///
     /// # Errors
-    /// The model predicts other observations than the data ([`check_alike`]), or a metric or baseline returns an error;
-    /// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
+    /// The model predicts other observations than the data ([`check_alike`]), or a baseline returns an error; otherwise as
+    /// [`EvaluationSet::score`].
     pub fn evaluate(&mut self, model: &Ensemble) -> Result<EvaluationResult> {
         self.evaluate_parts(model, &mut PartialScores::default())
     }
@@ -85,11 +85,12 @@ impl ActiveRun<'_, '_> {
         Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude()? }, confidence })
     }
 
-    /// Returns name and mean of the first validation metric for each baseline except external ones, fitted on the training set
-    /// alone, on the samples of `validation.csv`; finite values only. Empty if the pipeline validates nothing.
+    /// Scores the baselines except external ones, fitted to the training set alone, on the samples of `validation.csv`. Returns
+    /// their names with the mean of the first validation metric; a mean that is not finite is left out. Empty if the pipeline
+    /// validates nothing.
     ///
     /// # Errors
-    /// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
+    /// A baseline returns an error; otherwise as [`EvaluationSet::score`].
     pub(crate) fn validation_baselines(
         &mut self,
         plane: &ImagePlane,
@@ -147,7 +148,7 @@ struct ScoredBaseline {
 }
 
 impl OpenEvaluation<'_, '_, '_> {
-    /// Scores `model`, the model or a member, as predictor `name`.
+    /// Scores `model`, the model or a member, and adds it as predictor `name`; `ready` is its prepared form.
     fn score_model(&mut self, name: &str, model: &Ensemble, ready: &Prepared<'_>) -> Result<()> {
         let title = if name == MODEL { "the model" } else { name };
         let facts = ModelFacts {
@@ -163,7 +164,7 @@ impl OpenEvaluation<'_, '_, '_> {
         Ok(())
     }
 
-    /// Scores each member of an ensemble of at most [`MOST_SHOWN`]; returns spread and error of the members.
+    /// Scores the members of an ensemble, if they are at most [`MOST_SHOWN`]; returns spread and error of all.
     fn score_members(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Confidence> {
         let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
         for (name, member) in model.names().iter().zip(shown) {
@@ -177,7 +178,7 @@ impl OpenEvaluation<'_, '_, '_> {
     }
 
     /// Measures the intervals of a calibrated model, and lists the links that calibrate those of the baselines. Returns the
-    /// columns of `samples.csv`, a row per test link; empty without a calibration.
+    /// columns of `samples.csv`, a row per test link; empty without a calibration, or if it has too few blocks.
     fn measure_intervals(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Vec<Vec<f64>>> {
         let Some(calibration) = model.calibration() else { return Ok(Vec::new()) };
         self.scorer.left_out =
@@ -226,6 +227,7 @@ impl OpenEvaluation<'_, '_, '_> {
         let model_samples = trained_links(pipeline, partition).len();
         table.samples = [model_samples, baseline_samples, ids.len()];
         table.notes.extend(ceiling.notes);
+        // The first intervals are those of the model.
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
         for (name, measured) in &predictors {
             let note = |m: &Measurement| Some(format!("{} of {name}: {}", m.key, m.note.as_ref()?));
@@ -247,7 +249,7 @@ impl TestScorer<'_, '_, '_> {
         let run = &mut *self.run;
         let fitted = baseline.fit(data, partition.known().stopped_by(run.session.stop))?;
         let name = baseline.name_for(data.task());
-        // Reading a file has no latency of a method.
+        // An external baseline reads a file: its latency is not that of a method.
         let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
         let metrics: Vec<_> = run.pipeline.metrics.iter().filter(is_measured).cloned().collect();
         let predictor = Predictor::Baseline(&*fitted);

@@ -51,7 +51,7 @@ impl<'a> Predictor<'a> {
         }
     }
 
-    /// Predicts one link and returns the time per stage.
+    /// Predicts one link and returns the time per stage; for a baseline only `total`.
     fn time(self, query: Query<'_>) -> StageTimes {
         match self {
             Self::Model(model, _) => model.predict_timed(query).1,
@@ -63,7 +63,7 @@ impl<'a> Predictor<'a> {
         }
     }
 
-    /// Returns the facts for model metrics; `None` for a baseline.
+    /// Returns the facts for model metrics; `None` for a baseline, or a model without them.
     const fn facts(self) -> Option<ModelFacts<'a>> {
         match self {
             Self::Model(_, facts) => facts,
@@ -125,8 +125,8 @@ impl<'a> EvaluationSet<'a> {
     /// Measures a predictor by all its metrics, in their order.
     ///
     /// # Errors
-    /// A metric returns an error, a prediction is not finite, or a spectrum cannot be read; [`Error::Stopped`] once the session
-    /// is stopped.
+    /// A metric returns an error, a prediction is not finite, a spectrum cannot be read, or the GPU fails; [`Error::Stopped`]
+    /// once the session is stopped.
     pub fn score(&self, scored: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
         let mut measurements = self.measure_chunks(scored, session)?;
         session.check_stopped()?;
@@ -236,7 +236,7 @@ fn check_energies(name: &str, given: usize, count: usize) -> Result<()> {
 /// Appends to `measured` the measurements `more` of one metric on the next `count` samples.
 ///
 /// # Errors
-/// The metric does not give one number per sample, or other measurements than before.
+/// The metric does not give one number per sample, or gives other measurements than for earlier samples.
 pub fn append_measurements(measured: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
     let broken = |m: &Measurement| {
         Err(Error::Config(format!(

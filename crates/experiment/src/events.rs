@@ -66,14 +66,15 @@ fn frame_record(data: &[u8]) -> Vec<u8> {
     [&length[..], &checksum(&length), data, &checksum(data)].concat()
 }
 
-/// Computes the masked CRC-32C of `TFRecord`: rotated and shifted, so that checksums over checksums work.
+/// Computes the masked CRC-32C of `TFRecord`: rotated, and shifted by a constant, so that checksums over checksums work.
 fn checksum(bytes: &[u8]) -> [u8; 4] {
+    // The polynomial of CRC-32C (Castagnoli), lowest bit first.
     let bit = |crc: u32, _| crc >> 1 ^ if crc & 1 == 1 { 0x82f6_3b78 } else { 0 };
     let crc = !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit));
     crc.rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
-// Protobuf: the low three bits of a field key are its wire type.
+// Protobuf: a field begins with its number, shifted by three bits, and its wire type.
 const VARINT: u8 = 0;
 const DOUBLE: u8 = 1;
 const LENGTH: u8 = 2;
@@ -90,14 +91,14 @@ fn encode_varint(mut value: u64) -> Vec<u8> {
     out
 }
 
-/// Encodes the protobuf field `key` of double precision.
-fn double_field(key: u8, value: f64) -> Vec<u8> {
-    [&[key << 3 | DOUBLE][..], &value.to_le_bytes()].concat()
+/// Encodes the protobuf field `number` of double precision.
+fn double_field(number: u8, value: f64) -> Vec<u8> {
+    [&[number << 3 | DOUBLE][..], &value.to_le_bytes()].concat()
 }
 
-/// Encodes the protobuf field `key` of text or of a message.
-fn bytes_field(key: u8, value: &[u8]) -> Vec<u8> {
-    [&[key << 3 | LENGTH][..], &encode_varint(value.len() as u64), value].concat()
+/// Encodes the protobuf field `number` of text or of a message.
+fn bytes_field(number: u8, value: &[u8]) -> Vec<u8> {
+    [&[number << 3 | LENGTH][..], &encode_varint(value.len() as u64), value].concat()
 }
 
 #[cfg(test)]

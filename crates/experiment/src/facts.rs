@@ -138,7 +138,7 @@ impl Facts {
     }
 
     /// Sets steps and training seconds to the sums over the runs in `folders`, and raises the peak memory to the largest of
-    /// them.
+    /// them. A run that has not begun adds nothing.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -196,7 +196,7 @@ impl Facts {
     /// Verifies the files of a finished run.
     ///
     /// # Errors
-    /// A file is damaged or missing; the message names the first.
+    /// A file is damaged or missing, or cannot be read; the message names the first.
     pub fn verify(&self, folder: &Path) -> Result<()> {
         self.files.keys().try_for_each(|name| self.verify_file(folder, name))
     }
