@@ -33,25 +33,27 @@ pub(super) struct AxisScale {
 }
 
 impl AxisScale {
-    /// Creates the scale of an axis for these values; `None` without finite values, or if the given ends do not ascend.
+    /// Creates the scale of an axis with its given ends, or else with ends around `values`. `None` if given ends do not ascend,
+    /// or no value is finite.
     pub(super) fn new(axis: &ChartAxis, values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut scale = Self { ends: (0.0, 0.0), log: axis.log };
         scale.ends = if let Some((low, high)) = axis.ends {
             (scale.coordinate(low), scale.coordinate(high))
         } else {
             let (low, high) = bounds(values.map(|v| scale.coordinate(v)).filter(|v| v.is_finite()));
+            // Equal values need a margin too.
             let margin = (0.05 * (high - low)).max(if axis.log { 0.02 } else { 1e-9 });
             (low - margin, high + margin)
         };
         (scale.ends.0 < scale.ends.1).then_some(scale)
     }
 
-    /// Returns the coordinate of a value: its logarithm on a logarithmic axis.
+    /// Returns the coordinate of a value: on a logarithmic axis, its decimal logarithm, unless it is infinite.
     fn coordinate(&self, value: f64) -> f64 {
         if self.log && value.is_finite() { value.log10() } else { value }
     }
 
-    /// Returns the position of a coordinate along the axis, from 0 to 1.
+    /// Returns the position of a coordinate along the axis: 0 at the low end, 1 at the high end.
     fn fraction(&self, coordinate: f64) -> f64 {
         (coordinate - self.ends.0) / (self.ends.1 - self.ends.0)
     }
@@ -79,18 +81,20 @@ impl PlotArea {
         (self.left + (self.right - self.left) * self.x.fraction(self.x.coordinate(x))).clamp(self.left, self.right)
     }
 
-    /// Returns the position of a value on the drawing; `None` if not finite.
+    /// Returns the position of a point of the data on the drawing, horizontally limited to the plot area; `None` if it is not
+    /// finite there.
     pub(super) fn position(&self, (x, y): (f64, f64)) -> Option<Point> {
         let point =
             [self.x_position(x), self.bottom - (self.bottom - self.top) * self.y.fraction(self.y.coordinate(y))];
         point.iter().all(|v| v.is_finite()).then_some(point)
     }
 
-    /// Draws grid, ticks and names; `height` is that of the chart without its legend. For plotters, both axes count its
-    /// pixels, so that the ticks computed here are key points with the labels computed here.
+    /// Draws grid, ticks and names; `height` is that of the chart without its legend. plotters gets axes that count pixels: the
+    /// ticks computed here are key points on them, and get the labels computed here.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
         let (across, up) = (self.right - self.left, self.bottom - self.top);
         let fit = |ticks: &[Tick]| {
+            // Labels are at least 8 apart.
             let reach = |tick: &Tick| (across * self.x.fraction(tick.0), text_width(&tick.1) / 2.0);
             ticks.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
@@ -103,6 +107,7 @@ impl PlotArea {
         let letters = ("sans-serif", TEXT * GRID).into_font().color(&to_rgb(INK));
         let (beside, below) = (canvas.width - self.right, canvas.height - height);
         let root = PlottersBackend(canvas).into_drawing_area();
+        // Left of the plot area, margin and label area add up to `left`.
         let drawn = ChartBuilder::on(&root)
             .margin_left(pixels(4.0))
             .margin_top(pixels(self.top))
@@ -126,7 +131,7 @@ impl PlotArea {
     }
 }
 
-/// Converts a colour for plotters.
+/// Converts a colour without opacity for plotters.
 fn to_rgb(colour: Colour) -> RGBColor {
     let [r, g, b] = colour.rgb;
     RGBColor(r, g, b)
@@ -194,7 +199,7 @@ impl DrawingBackend for PlottersBackend<'_> {
 
     fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> DrawResult {
         let [x, y] = to_point(at);
-        // From the given position down to the base line.
+        // From the given position down to the base line; tall letters such as `d` reach 0.76 of the text height.
         let down = TEXT
             * match style.anchor().v_pos {
                 VPos::Top => 0.76,
@@ -220,7 +225,8 @@ pub(crate) type Tick = (f64, String);
 /// Returns the ticks between two positions on an axis, logarithms if `log`: the densest that `fits` allows next to each
 /// other, otherwise the sparsest.
 pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -> bool) -> Vec<Tick> {
-    let decades = high - low;
+    let decades = high - low; // only if `log`
+    // On less than half a decade, ticks are multiples of a step, as on a linear axis.
     let candidates: Vec<Vec<Tick>> = if log && decades >= 0.5 {
         let digits: [&[f64]; 4] = [&[1.0, 1.5, 2.0, 3.0, 5.0, 7.0], &[1.0, 2.0, 5.0], &[1.0, 3.0], &[1.0]];
         let densest = if decades > 3.5 { 3 } else { usize::from(decades > 1.5) };
@@ -228,7 +234,7 @@ pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -
     } else {
         let (from, to) = if log { (10f64.powf(low), 10f64.powf(high)) } else { (low, high) };
         let tick = |v: f64| (if log { v.log10() } else { v }, tick_label(v));
-        [6.0, 4.0, 2.0].iter().map(|&n| round_multiples(from, to, n).into_iter().map(tick).collect()).collect()
+        [6.0, 4.0, 2.0].iter().map(|&gaps| round_multiples(from, to, gaps).into_iter().map(tick).collect()).collect()
     };
     let sparsest = candidates.last().cloned().unwrap_or_default();
     candidates.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
@@ -258,23 +264,27 @@ pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
     ticks.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
-/// Returns the multiples of 1, 2 or 5 times a power of ten between two ends: at most about `tick_count`.
-fn round_multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
-    let rough = (high - low) / tick_count;
+/// Returns the multiples of 1, 2 or 5 times a power of ten between two ends, which are at most `gaps` such steps apart.
+fn round_multiples(low: f64, high: f64, gaps: f64) -> Vec<f64> {
+    let rough = (high - low) / gaps;
     let power = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough).unwrap_or(power);
     let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Formats a number on an axis: from 10,000 as `k`, from a million as `M`, below 1e-4 with an exponent, with a typographic
-/// minus sign.
+/// Formats a number on an axis: from 10,000 as `k` and from a million as `M`, with two decimals at most; below 1e-4 with an
+/// exponent. The minus sign is typographic.
 pub(crate) fn tick_label(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),
         s if s >= 1e6 => format!("{}M", (value / 1e4).round() / 100.0),
         s if s >= 1e4 => format!("{}k", (value / 10.0).round() / 100.0),
-        s if s >= 1e3 => grouped(value.round() as i64),
+        s if s >= 1e3 => {
+            let digits = ((value * 1e6).round() / 1e6).to_string();
+            let (whole, fraction) = digits.split_at(digits.find('.').unwrap_or(digits.len()));
+            grouped(whole.parse().unwrap_or_default()) + fraction
+        }
         s if s >= 1e-4 => format!("{}", (value * 1e6).round() / 1e6),
         _ => format!("{value:.0e}"),
     };
@@ -296,6 +306,7 @@ mod tests {
         assert_eq!(labels((1.0, 3.0), true, 99), ["10", "20", "50", "100", "200", "500", "1,000"]);
         assert_eq!(labels((-20.0, 30.0), false, 99), ["−20", "−10", "0", "10", "20", "30"]);
         assert!(labels((1.1, 1.3), true, 99).len() >= 3);
+        assert_eq!(labels((1_233.6, 1_235.0), false, 99), ["1,234", "1,234.5", "1,235"]);
     }
 
     #[test]
