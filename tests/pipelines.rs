@@ -187,7 +187,7 @@ fn every_experiment_resolves_and_its_variants_train() {
         let whole = SweepPlan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}"));
         let (first, folder) = (&whole.runs[0].pipeline, tempfile::tempdir().unwrap());
         let data = if std::fs::read_to_string(&path).unwrap().contains("\"data.points\"") {
-            simulated("scenes/lab-s23.ron", ObservationKind::Spectrum, OutputLayout::Pictures, folder.path())
+            simulated("scenes/lab-s23.ron", ObservationKind::Spectrum, OutputLayout::Images, folder.path())
         } else {
             small(first.data.task(), first.method().traits().inputs, folder.path()).replace("../scenes", "scenes")
         };

@@ -215,7 +215,7 @@ fn read_layout(
         return reject(py, "noise_db is only for powers; set layout=\"rssi\"");
     }
     Ok(match layout {
-        "spectra" => (ObservationKind::Spectrum, OutputLayout::Pictures),
+        "spectra" => (ObservationKind::Spectrum, OutputLayout::Images),
         "arrays" => (ObservationKind::Spectrum, OutputLayout::Array),
         "rssi" => (ObservationKind::Power { noise_db: noise_db.unwrap_or(0.0) }, OutputLayout::Rssi),
         "channels" => (ObservationKind::Channel { snr_db }, OutputLayout::Channels),

@@ -90,14 +90,14 @@ impl Array {
         self.geometry().element_positions(wavelength).into_iter().map(DVec3::from).collect()
     }
 
-    /// Returns the geometry of the elements.
+    /// Returns the geometry of the elements, in wavelengths.
     fn geometry(&self) -> ArrayGeometry<'_, f64> {
         let Self { rows, columns, spacing_wavelengths: spacing, positions_wavelengths: positions, .. } = self;
         ArrayGeometry { rows: *rows, columns: *columns, spacing: *spacing, positions }
     }
 }
 
-/// Returns the channel h `[elements, wavelengths]`: the sum over paths, eq. (1), at each element.
+/// Returns the channel h `[elements, wavelengths]`: the sum over paths, eq. (1) of the paper, at each element.
 ///
 /// The paths lead to `centre`, the receiver position; `elements` are the element positions in the world. All are in
 /// metres. Each wavelength has its own wavenumber, so delays are exact; gains are common to all and include both antenna

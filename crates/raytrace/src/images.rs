@@ -141,7 +141,7 @@ impl ImageTree {
     }
 
     /// Calls `visit` with each geometrically possible sequence of faces and its reflection points, in order of travel
-    /// from `tx`. The caller tests for obstacles. The first sequence is empty (line of sight).
+    /// from `tx` (metres, world frame). The caller tests for obstacles. The first sequence is empty (line of sight).
     pub fn visit_candidates(&self, world: &World, tx: DVec3, mut visit: impl FnMut(&[u32], &[DVec3])) {
         visit(&[], &[]);
         let mut path = UnfoldedPath::default();

@@ -64,7 +64,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
 }
 
 /// Reads the mesh of the object `name`, maps its vertices by `matrix` and leaves out second sides of sheets; normals of a
-/// closed surface then point outwards. `solid`: the surface must be closed.
+/// closed surface then point outwards. `solid`: the surface must be closed. Warns if y seems to point up.
 ///
 /// # Errors
 /// Errors of [`read_mesh`]; too many overlapping triangles; a solid that is not closed, or whose triangles run in different
@@ -250,7 +250,7 @@ impl Mesh {
         triangle.map(|v| self.vertices[v as usize])
     }
 
-    /// Returns the smallest and largest coordinates, metres.
+    /// Returns the smallest and largest coordinates, metres; `(∞, −∞)` without vertices.
     fn bounds(&self) -> (DVec3, DVec3) {
         let ends = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         self.vertices.iter().fold(ends, |(low, high), vertex| (low.min(*vertex), high.max(*vertex)))

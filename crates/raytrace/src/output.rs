@@ -151,7 +151,7 @@ pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progr
     new_folder.publish()
 }
 
-/// Writes the random points on all surfaces of the scene into `folder`. Returns an error if the write failed.
+/// Writes the points on all surfaces of the scene into `folder`. Returns an error if the write failed.
 fn write_point_cloud(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);

@@ -3,6 +3,7 @@
 use crate::world::{Face, Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::rng;
+use pwrfgs_core::statistics::bounds;
 use std::f64::consts::TAU;
 
 /// Patch of a rough face.
@@ -18,8 +19,8 @@ pub(crate) struct Patch {
     pub(crate) phase: f64,
 }
 
-/// Returns the scattering patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per
-/// face, so that adding a face changes no other.
+/// Returns the scattering patches of all rough faces: rectangles with sides of about `side` metres. Phases are drawn per
+/// index of a face, so that faces added at the end change no others.
 pub(crate) fn scattering_patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     let mut patches = Vec::new();
     for (index, face) in world.faces.iter().enumerate() {
@@ -57,12 +58,6 @@ pub(crate) fn cell_count(face: &Face, side: f64) -> f64 {
     Lattice::new(&face.hull, face.normal, side).map_or(0.0, |l| l.columns * l.rows)
 }
 
-/// Returns the smallest and largest coordinate of points along the unit vector `axis`, metres.
-fn extent_along(points: &[DVec3], axis: DVec3) -> (f64, f64) {
-    let along = || points.iter().map(|p| p.dot(axis));
-    (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
-}
-
 /// Grid of cells in the bounding rectangle of a convex polygon, along its longest side.
 struct Lattice {
     /// Axes in the plane, unit vectors.
@@ -83,7 +78,7 @@ impl Lattice {
         let sides = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
         let u = sides.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
         let v = normal.cross(u);
-        let extent = [u, v].map(|axis| extent_along(hull, axis));
+        let extent = [u, v].map(|axis| bounds(hull.iter().map(|p| p.dot(axis))));
         let [columns, rows] = extent.map(|(low, high)| ((high - low) / side).round().max(1.0));
         Some(Self { u, v, level: normal * normal.dot(hull[0]), extent, columns, rows })
     }

@@ -19,8 +19,8 @@ pub(crate) struct SceneErrors {
     pub(crate) draw: u64,
 }
 
-/// Returns the scene with errors, drawn independently per finish. Objects stay on the floor; receiver and transmitters
-/// keep their positions, which are usually measured best.
+/// Returns the scene with errors, drawn independently per finish, and per wall and object. Objects stay on the floor;
+/// receiver and transmitters keep their positions, which are usually measured best.
 pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
     let mut wrong = scene.clone();
     perturb_materials(&mut wrong, errors);
@@ -36,7 +36,7 @@ pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
     wrong
 }
 
-/// Gives each finish its own material and thickness with random errors; does nothing at a deviation of 0.
+/// Gives each finish a separate material and a thickness with random errors; does nothing at a deviation of 0.
 fn perturb_materials(scene: &mut SceneFile, errors: &SceneErrors) {
     if errors.materials == 0.0 {
         return;
@@ -47,7 +47,7 @@ fn perturb_materials(scene: &mut SceneFile, errors: &SceneErrors) {
     let room = scene.room.iter_mut().flat_map(|room| [&mut room.walls, &mut room.floor, &mut room.ceiling]);
     for (i, finish) in room.chain(scene.objects.iter_mut().filter_map(Object::finish_mut)).enumerate() {
         let mut material = truth.material(&finish.material).expect("materials were looked up when the scene was read");
-        material.a = (material.a * factor(&mut rng)).max(1.0);
+        material.a = (material.a * factor(&mut rng)).max(1.0); // at least that of vacuum
         material.c *= factor(&mut rng);
         finish.thickness_m = finish.thickness_m.map(|t| t * factor(&mut rng));
         finish.material = format!("{} {i}", finish.material);
@@ -55,7 +55,7 @@ fn perturb_materials(scene: &mut SceneFile, errors: &SceneErrors) {
     }
 }
 
-/// Moves each wall of a box or corner of a plan, and the ceiling, each by its own error in metres.
+/// Moves each wall of a box or corner of a plan, and the ceiling. `error` draws the next error of a coordinate, metres.
 fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
     match outline {
         Outline::Box { low, high } => {
@@ -72,7 +72,7 @@ fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
     }
 }
 
-/// Moves an object horizontally by metres along x and y.
+/// Moves an object horizontally by `by`, metres along x and y.
 fn move_object(object: &mut Object, by: [f64; 2]) {
     let (first, second): (&mut [f64], Option<&mut [f64]>) = match object {
         Object::Box { low, high, .. } => (low, Some(high)),
@@ -85,7 +85,7 @@ fn move_object(object: &mut Object, by: [f64; 2]) {
 }
 
 /// Moves each opening together with its host, the last side before it that it lies on: its corners keep their relative
-/// positions along the host. An opening without a host stays.
+/// positions along the host, and its upper edge stays below the moved ceiling. An opening without a host stays.
 fn move_openings(truth: &SceneFile, wrong: &mut SceneFile) {
     let top = |scene: &SceneFile| match scene.room.as_ref().map(|room| &room.outline) {
         Some(Outline::Box { high, .. }) => high[2],

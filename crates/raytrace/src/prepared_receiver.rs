@@ -29,7 +29,7 @@ impl PreparedReceiver {
     /// Prepares `receiver` of `scene`.
     ///
     /// # Errors
-    /// An antenna inside an object, too many images or too much memory.
+    /// An antenna or the array centre is outside free space, too many images, or too much memory.
     pub(crate) fn new(scene: &Arc<SceneFile>, receiver: &SceneReceiver, world: &Arc<World>) -> Result<Self> {
         let points = traced_points(scene, receiver, world)?;
         let tracer = |point: &DVec3| {
@@ -61,7 +61,7 @@ impl PreparedReceiver {
         Ok(Self { scene: Arc::clone(scene), receiver: receiver.clone(), tracers, beamformer })
     }
 
-    /// Returns the receiver description of the scene.
+    /// Returns the description of the receiver; with several carriers, its name is that of the carrier.
     pub fn receiver(&self) -> &SceneReceiver {
         &self.receiver
     }
@@ -99,7 +99,7 @@ impl PreparedReceiver {
         self.tracers[1..].iter().flat_map(|tracer| sum_gains(&tracer.trace(tx), &wavelengths)).collect()
     }
 
-    /// Returns the observation of `tx`, a position in metres, world frame. `sample` selects the random errors; `None`: no
+    /// Returns the observation of a transmitter at `tx`, metres, world frame. `sample` selects the random errors; `None`: no
     /// errors.
     pub fn observe(&self, tx: DVec3, kind: &ObservationKind, sample: Option<u64>) -> ReceiverObservation {
         let mut noise = Noise::clone(&self.scene.noise);
@@ -131,7 +131,7 @@ impl PreparedReceiver {
     }
 }
 
-/// Returns the sum of the gains of `paths` at each wavelength, metres.
+/// Returns the sum of the gains of `paths`, with the phases of their delays, at each wavelength (metres).
 fn sum_gains(paths: &[PropagationPath], wavelengths: &[f64]) -> Vec<Complex> {
     let sum = |wavelength: &f64| paths.iter().map(|path| path.baseband_gain(*wavelength)).sum::<Complex>();
     wavelengths.iter().map(sum).collect()

@@ -49,8 +49,9 @@ pub struct RayTracing {
 }
 
 impl RayTracing {
-    /// Returns the note that explains the name of the baseline in a table of this task.
-    fn explain_name(&self, is_oracle: bool, task: Task) -> String {
+    /// Describes the scene of the baseline and its errors in a note below a table of this task. `is_oracle`: the scene is
+    /// that of the data.
+    fn describe_scene(&self, is_oracle: bool, task: Task) -> String {
         let things = task.plural;
         let content = match (&self.scene, self.is_exact() && is_oracle) {
             (_, true) => {
@@ -76,13 +77,13 @@ impl RayTracing {
         format!("«{}» is {content}", self.name())
     }
 
-    /// Returns whether the scene is used without random errors.
+    /// Returns whether the scene is used without errors of materials and positions.
     fn is_exact(&self) -> bool {
         self.material_error == 0.0 && self.position_error_m == 0.0
     }
 
-    /// Returns the scene of this baseline, read from its file or from the data, and whether it is that of the data. Returns
-    /// an error if it cannot be read, or neither is given.
+    /// Returns the scene of this baseline, read from its file or else from the data, and whether it is that of the data.
+    /// Returns an error if the file cannot be read, or without a file if the data have no valid scene.
     fn resolve_scene(&self, data: &Dataset) -> Result<(SceneFile, bool)> {
         let data_scene = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
         let data_scene = data_scene.and_then(|text| SceneFile::parse(text, Path::new("scene of the data")).ok());
@@ -102,7 +103,7 @@ impl RayTracing {
     }
 
     /// Prepares a simulator of the scene with random errors. If an error moves a wall past the receiver, another draw is
-    /// used; returns the error of the last of many draws.
+    /// used. Returns the error of the last draw after [`DRAWS`] failed.
     fn prepare_simulator(&self, scene: &SceneFile) -> Result<Simulator> {
         if self.is_exact() {
             return Simulator::new(scene);
@@ -152,7 +153,7 @@ impl Baseline for RayTracing {
         let (scene, is_oracle) = self.resolve_scene(data)?;
         let kind = required_observation(data, &scene)?;
         let receivers = receiver_indices(data, &scene)?;
-        let (simulator, note) = (self.prepare_simulator(&scene)?, self.explain_name(is_oracle, data.task()));
+        let (simulator, note) = (self.prepare_simulator(&scene)?, self.describe_scene(is_oracle, data.task()));
         Ok(Box::new(TracedBaseline { simulator, receivers, kind, noise: self.noise, seed: self.seed, note, is_oracle }))
     }
 
@@ -247,7 +248,7 @@ struct TracedBaseline {
 
 impl TracedBaseline {
     /// Returns the noise draw of a position: a hash of its coordinates in single precision, in the manner of FNV-1a. The highest
-    /// bit separates it from the draws of the data.
+    /// bit separates it from the draws of data with a seed below 2³¹.
     fn noise_draw(&self, tx: [f64; 3]) -> u64 {
         let add = |hash: u64, v: &f64| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3);
         tx.iter().fold(!self.seed, add) | 1 << 63
@@ -258,7 +259,7 @@ impl Predict for TracedBaseline {
     fn predict(&self, query: Query<'_>) -> Image {
         let tx = query.position();
         let draw = self.noise.then(|| self.noise_draw(tx));
-        // An unknown receiver is the first of the scene.
+        // A receiver that the data lack is the first of the scene.
         let index = self.receivers.get(query.receiver).copied().unwrap_or(0);
         let receiver = &self.simulator.receivers()[index];
         match receiver.observe(DVec3::from(tx), &self.kind, draw).observed {

@@ -80,7 +80,7 @@ impl SimulationRecipe {
     /// Returns the recipe with another observation type.
     ///
     /// # Errors
-    /// The scene does not support it, or its channels take too much memory.
+    /// A parameter is out of range, the scene does not support the type, or its channels take too much memory.
     pub fn observing(self, observe: ObservationKind) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
         if !self.scene.carriers_hz.is_empty() && observe != ObservationKind::Spectrum {
@@ -120,7 +120,7 @@ impl SimulationRecipe {
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }
 
-    /// Returns the folder name in the cache, unique per manifest: the scene name and a hash.
+    /// Returns the folder name in the cache, unique per manifest: the beginning of the scene name, and a hash.
     pub fn folder_name(&self) -> String {
         let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' };
         let name: String = self.scene.name.chars().map(plain).take(40).collect();

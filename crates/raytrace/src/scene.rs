@@ -22,7 +22,7 @@ use mitsuba::MitsubaScene;
 use propagation::check_carriers;
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean, files};
+use pwrfgs_core::{Error, Result, ShippedFile, carrier_fault, did_you_mean, files};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -138,8 +138,8 @@ impl SceneFile {
         scene.with_meshes(meshes, (path, &files::read_text(path)?))
     }
 
-    /// Returns the scene of the file `path` with content `text`, with the meshes and materials of a Mitsuba file; its own
-    /// materials have precedence. Returns an error if the scene is then invalid.
+    /// Returns the scene of the file `path` with content `text`, with the meshes and materials of a Mitsuba file; materials
+    /// of the scene file have precedence. Returns an error if the scene is then invalid.
     fn with_meshes(mut self, meshes: MitsubaScene, (path, text): (&Path, &str)) -> Result<Self> {
         self.objects.extend(meshes.objects);
         self.materials = meshes.materials.into_iter().chain(self.materials).collect();
@@ -181,7 +181,7 @@ impl SceneFile {
         scene
     }
 
-    /// Returns the material called `name`: the scene's own, else that of ITU-R P.2040; `None` if both lack it.
+    /// Returns the material called `name` of the scene, else of ITU-R P.2040; `None` if both lack it.
     pub fn material(&self, name: &str) -> Option<Material> {
         self.materials.get(name).cloned().or_else(|| material::itu_material(name))
     }
@@ -206,7 +206,7 @@ impl SceneFile {
         self.subcarriers.as_ref().map_or_else(|| vec![self.carrier_hz], |band| band.frequencies(self.carrier_hz))
     }
 
-    /// Returns all finishes, with the names of their objects.
+    /// Returns all finishes, with the names of their objects, in the order of [`World::surfaces`](crate::world::World).
     pub(crate) fn finishes(&self) -> impl Iterator<Item = (&str, &Finish)> {
         let room = self.room.iter();
         let room = room.flat_map(|room| [("walls", &room.walls), ("floor", &room.floor), ("ceiling", &room.ceiling)]);
@@ -244,7 +244,7 @@ impl SceneFile {
 
     /// Returns an error for the first invalid value.
     fn check(&self) -> Result<(), SceneFault> {
-        if !(1e6..=1e12).contains(&self.carrier_hz) {
+        if carrier_fault(self.carrier_hz).is_some() {
             let why = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
             return Err(SceneFault::new(why, "carrier_hz"));
         }
@@ -286,6 +286,7 @@ impl SceneFile {
             let why = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
             return Err(SceneFault::new(why, "more_receivers"));
         }
+        // Before the loop: the default name of the first receiver is not in the file.
         self.receiver.check().map_err(|why| SceneFault::new(why, "receiver"))?;
         if let Some(moving) = &self.moving_receiver {
             moving.check(!self.more_receivers.is_empty()).map_err(|why| SceneFault::new(why, "moving_receiver"))?;

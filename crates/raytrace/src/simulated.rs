@@ -91,7 +91,8 @@ impl Simulated {
     }
 }
 
-/// Reads the data set of all received links of all receivers. Returns an error if there are none.
+/// Reads the data set of all received links of all receivers; `points` is the file of the point cloud, if any. Returns an
+/// error if there are no such links.
 fn link_dataset(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
     let receivers: Vec<Receiver> = scene.receivers().map(|receiver| dataset_receiver(scene, receiver)).collect();
@@ -213,7 +214,8 @@ pub fn cache_root() -> Option<PathBuf> {
     }
 }
 
-/// Returns the result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
+/// Returns the result of `read` on the data set of `recipe`, which is simulated or comes from the cache `root`; `None`: no
+/// cache.
 ///
 /// An entry is a folder made by `output::write_links`, with one array or table of all links; the receivers of a
 /// transmitter are consecutive. It is used only if its manifest equals that of the recipe and `read` succeeds;

@@ -29,8 +29,7 @@ impl Simulator {
     /// Prepares `scene`.
     ///
     /// # Errors
-    /// A mesh that cannot be read or is not closed as required, a receiver inside an object, too many images or
-    /// patches, or too much memory.
+    /// Errors of [`World::from_scene`], an antenna outside free space, too many images or patches, or too much memory.
     pub fn new(scene: &SceneFile) -> Result<Self> {
         let (scene, world) = (Arc::new(scene.clone()), Arc::new(World::from_scene(scene)?));
         check_patches(&scene, &world)?;
@@ -39,6 +38,7 @@ impl Simulator {
             let carrier_world = if scene.carriers_hz.is_empty() {
                 Arc::clone(&world)
             } else {
+                // Materials depend on the carrier.
                 Arc::new(World::from_scene(&carrier_scene)?)
             };
             let carrier_scene = Arc::new(carrier_scene);
@@ -108,7 +108,8 @@ impl Simulator {
         Ok(())
     }
 
-    /// Returns `count` random points on all surfaces, uniform by area, with normals.
+    /// Returns `count` points on all surfaces, uniform by area, metres, world frame, with normals. `seed` sets their
+    /// random offsets.
     pub fn surface_points(&self, count: usize, seed: u64) -> SurfacePoints {
         let triangles: Vec<[DVec3; 3]> = self.world.triangles.iter().map(Triangle::corners).collect();
         let normals: Vec<DVec3> =
@@ -145,7 +146,7 @@ pub fn simulate_links(
     for (first, chunk) in (0_usize..).step_by(CHUNK).zip(positions.chunks(CHUNK)) {
         let receive = |(i, tx): (usize, &DVec3)| {
             check_stopped(stop)?;
-            // Data sets of different seeds have different draws.
+            // Data sets of different seeds have different draws, since each has fewer than 2³² samples.
             let draw = Some(seed.wrapping_mul(1 << 32).wrapping_add((first + i) as u64));
             match scene.moved_receiver(first + i, *tx, seed) {
                 None => Ok(simulator.receivers.iter().map(|receiver| receiver.observe(*tx, &kind, draw)).collect()),

@@ -19,6 +19,8 @@ use std::sync::Arc;
 const NEGLIGIBLE: f64 = 1e-8;
 /// Distance from an edge at which its faces are probed, metres.
 const BESIDE: f64 = 1e-3;
+/// Sine of the angle between a ray and an edge below which the ray runs along the edge.
+const ALONG: f64 = 1e-6;
 
 /// Antenna with pattern and orientation.
 #[derive(Debug)]
@@ -54,7 +56,8 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// Creates a tracer to `position`, metres, an antenna of `receiver`; `None` if the image tree would grow too large.
+    /// Creates a tracer to `position`, metres, world frame: an antenna of `receiver` or the centre of its array. `None` if
+    /// the image tree would grow too large.
     pub fn new(world: &Arc<World>, scene: &SceneFile, receiver: &SceneReceiver, position: DVec3) -> Option<Self> {
         let (world, propagation) = (Arc::clone(world), Propagation::clone(&scene.propagation));
         let orders = Orders { all: propagation.order, room: propagation.room_order };
@@ -115,7 +118,7 @@ struct TraceWalk<'a> {
 
 impl TraceWalk<'_> {
     /// Returns the ray after the straight segment from `from` to `to`, and adds the sheets on it to the interactions;
-    /// `None` if it is blocked or negligible. `ends` has the faces that either end lies on.
+    /// `None` if it is blocked or negligible. `ends` has the faces on which each end lies.
     fn propagate(&mut self, ray: Ray, [from, to]: [DVec3; 2], ends: [&[u32]; 2]) -> Option<Ray> {
         let Self { tracer, sheets, interactions, .. } = self;
         if !tracer.world.collect_sheets(from, to, ends, sheets)
@@ -179,7 +182,8 @@ impl TraceWalk<'_> {
         Some(self.finish_path(ray, gain, departure, (source, 0.0)))
     }
 
-    /// Returns the path that diffracts at `edge`, which has this `index`; `None` if it is blocked or misses the edge.
+    /// Returns the path that diffracts at `edge`, which has this `index`; `None` if it misses the edge, is blocked or
+    /// negligible, or [`Self::edge_coefficients`] has none.
     fn diffracted_path(&mut self, index: u32, edge: &Edge) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let [a, b] = edge.ends;
@@ -213,7 +217,7 @@ impl TraceWalk<'_> {
         let (phi_in, phi_out) = (angle(to_tx), angle(to_rx));
         let sine = direction.cross(to_tx).length() / to_tx.length();
         let whole = edge.outer_angle * PI;
-        if phi_in >= whole || phi_out >= whole || sine < 1e-6 {
+        if phi_in >= whole || phi_out >= whole || sine < ALONG {
             return None;
         }
         // The smaller of the two angles on either face: exact at reflection boundaries and reciprocal (El-Sallabi and
@@ -230,8 +234,8 @@ impl TraceWalk<'_> {
         Some(wedge.diffraction_coefficients(k, distances, [phi_in, phi_out], sine))
     }
 
-    /// Returns the reflection and transmission coefficients of a face of an edge at the point `beside` the edge, metres, with
-    /// those of a face that covers it there. `cosine` is that of the angle of incidence.
+    /// Returns the reflection and transmission coefficients of a face of an edge at the point `beside` the edge, metres. If
+    /// another face covers it there, that one reflects, and waves pass both. `cosine` is that of the angle of incidence.
     fn face_coefficients(&self, face: u32, beside: DVec3, cosine: f64) -> (Polarized, Polarized) {
         let Tracer { world, wavelength, .. } = self.tracer;
         let front = world.front_face(face, beside, self.tx);
@@ -246,8 +250,8 @@ impl TraceWalk<'_> {
         (reflected, if front == face { alone } else { alone.times(through(front)) })
     }
 
-    /// Returns the path that scatters at `patch`; `None` if it is blocked, or transmitter and receiver are on different
-    /// sides of the patch.
+    /// Returns the path that scatters at `patch`; `None` if it is blocked or negligible, or transmitter and receiver are on
+    /// different sides of the patch.
     fn scattered_path(&mut self, patch: &Patch) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let surface = tracer.world.surface_of(patch.face);
@@ -268,9 +272,9 @@ impl TraceWalk<'_> {
         let specular = departure - 2.0 * departure.dot(normal) * normal;
         let density = surface.lobe.density(cos_in.abs(), cos_out.abs(), specular.dot(out));
         let (before, after) = (to_tx.length(), to_rx.length());
-        // Within its own size a patch is not a point source: its field is clamped.
-        let size = (patch.area / PI).sqrt();
-        let distances = (before.max(size), after.max(size));
+        // At less than its radius a patch is no point source: the distance is clamped.
+        let radius = (patch.area / PI).sqrt();
+        let distances = (before.max(radius), after.max(radius));
         let (area, wavelength, roughness) = (patch.area, tracer.wavelength, surface.roughness);
         let gain = patch_amplitude(roughness, reflected, density, area, cos_in.abs(), distances, wavelength);
         self.interactions.push(Interaction::Scattering { face: patch.face, point: patch.point });

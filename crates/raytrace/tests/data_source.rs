@@ -55,7 +55,7 @@ fn write(recipe: &SimulationRecipe, layout: OutputLayout, paths: bool, out: &Pat
 fn refuses_to_simulate_into_non_empty_folder() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
-    let message = write(&recipe, OutputLayout::Pictures, true, folder.path()).unwrap_err();
+    let message = write(&recipe, OutputLayout::Images, true, folder.path()).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("is not empty (it holds `small.ron`)"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
@@ -185,7 +185,7 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
         };
         write(&recipe, layout, paths, &folder.path().join("out")).map_err(|e| e.to_string())
     };
-    assert!(refused(OutputLayout::Pictures, false).unwrap_err().contains("add --no-paths, and --npy for spectra"));
+    assert!(refused(OutputLayout::Images, false).unwrap_err().contains("add --no-paths, and --npy for spectra"));
     assert!(refused(OutputLayout::Array, true).unwrap_err().contains("add --no-paths, and --npy for spectra"));
     refused(OutputLayout::Array, false).unwrap();
     let written = pwrfgs_data::read_poses(&folder.path().join("out/rx_pose.csv")).unwrap();
@@ -253,14 +253,14 @@ fn array_layout_equals_image_layout() {
         let source = Plugin::<dyn DataSource>::parse(&format!("{source}(root: {out:?})")).unwrap();
         source.load(Path::new(""), &|_, _| {}).unwrap()
     };
-    let [a, b] = [load("Nerf2Spectrum", OutputLayout::Pictures), load("Arrays", OutputLayout::Array)];
+    let [a, b] = [load("Nerf2Spectrum", OutputLayout::Images), load("Arrays", OutputLayout::Array)];
     assert!(b.is_simulated() && a.simulation == b.simulation && a.official == b.official);
     for i in 0..12 {
         assert!(a.observations.raw(i) == b.observations.raw(i) && a.sample(i).position() == b.sample(i).position());
     }
     // Names have five digits; an array has no names.
     let many = SimulationRecipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
-    let shown = write(&many, OutputLayout::Pictures, false, &folder.path().join("many")).unwrap_err();
+    let shown = write(&many, OutputLayout::Images, false, &folder.path().join("many")).unwrap_err();
     assert!(shown.is_input() && shown.to_string().contains("write one array with --npy"), "{shown}");
 }
 
@@ -347,7 +347,7 @@ fn ray_tracing_in_exact_scene_reproduces_data() {
     // A folder that was written says from which scene.
     let out = folder.path().join("written");
     let recipe = SimulationRecipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap();
-    write(&recipe, OutputLayout::Pictures, false, &out).unwrap();
+    write(&recipe, OutputLayout::Images, false, &out).unwrap();
     let read = pwrfgs_data::Nerf2Spectrum { root: out, ..Default::default() }.load(Path::new(""), &|_, _| {}).unwrap();
     assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();

@@ -52,7 +52,7 @@ fn written(recipe: &SimulationRecipe, layout: OutputLayout, out: &Path) -> Vec<(
 }
 
 const KINDS: [(OutputLayout, ObservationKind); 5] = [
-    (OutputLayout::Pictures, ObservationKind::Spectrum),
+    (OutputLayout::Images, ObservationKind::Spectrum),
     (OutputLayout::Array, ObservationKind::Spectrum),
     (OutputLayout::Rssi, ObservationKind::Power { noise_db: 3.0 }),
     (OutputLayout::Channels, ObservationKind::Channel { snr_db: Some(10.0) }),

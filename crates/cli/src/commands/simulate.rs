@@ -141,7 +141,7 @@ impl Simulate {
         let channel = ObservationKind::Channel { snr_db: self.snr_db };
         Ok(match self.layout {
             SimulateFormat::Spectra if self.npy => (ObservationKind::Spectrum, OutputLayout::Array),
-            SimulateFormat::Spectra => (ObservationKind::Spectrum, OutputLayout::Pictures),
+            SimulateFormat::Spectra => (ObservationKind::Spectrum, OutputLayout::Images),
             SimulateFormat::Rssi => {
                 (ObservationKind::Power { noise_db: self.noise_db.unwrap_or(0.0) }, OutputLayout::Rssi)
             }
@@ -229,7 +229,7 @@ fn describe_data(arguments: &Simulate, recipe: &SimulationRecipe, layout: Output
         format!("{plugin}(root: \"{}\", points: \"{}\")", root.display(), points.display())
     };
     let (things, plugin) = match layout {
-        OutputLayout::Pictures => ("spectra", with_points("Nerf2Spectrum")),
+        OutputLayout::Images => ("spectra", with_points("Nerf2Spectrum")),
         OutputLayout::Array => ("spectra", with_points("Arrays")),
         OutputLayout::Rssi => ("powers", plain("Nerf2Rssi")),
         OutputLayout::Channels => ("channels", plain("Channels")),

@@ -22,7 +22,8 @@ const MOST_PATHS: usize = 25;
 type PathValue<'a> = &'a dyn Fn(&PropagationPath) -> f64;
 
 /// Writes the matrices of every receiver, `power_t000_tx000_r001.npz` and so on, and `params.json` into `folder`. A user keeps
-/// its strongest paths; entries without a path are NaN. Phases contain the delay at the carrier. There are no objects.
+/// its strongest paths; entries without a path are NaN. Phases contain the delay at the carrier. The files of vertices and
+/// objects are empty.
 ///
 /// # Errors
 /// Errors of [`Simulator::draw_positions`], a failed write, or [`Error::Stopped`].
@@ -77,8 +78,8 @@ fn strongest_paths(station: &PreparedReceiver, user: DVec3) -> Vec<PropagationPa
     paths
 }
 
-/// Writes the matrices of the paths of all users, `[users, most paths]`, each into its `file` by name. `wavelength` in
-/// metres. Returns an error if a write failed.
+/// Writes the matrices of the paths of all users, `[users, most paths]`; `file` maps the name of a matrix to its path.
+/// `wavelength` in metres. Returns an error if a write failed.
 fn write_path_matrices(paths: &[Vec<PropagationPath>], wavelength: f64, file: &dyn Fn(&str) -> PathBuf) -> Result<()> {
     let most = paths.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let matrix = |value: PathValue<'_>| {
@@ -110,7 +111,8 @@ fn write_path_matrices(paths: &[Vec<PropagationPath>], wavelength: f64, file: &d
     write_npz(&file("inter_pos"), "inter_pos", &[paths.len(), most, depth, 3], &points)
 }
 
-/// Returns the interactions of a path, from the base station to the user, as digits of DeepMIMO.
+/// Returns the interactions of a path, from the base station to the user, as digits of DeepMIMO: 1 to 4 for the kinds of
+/// [`scenario_parameters`], in their order.
 fn interaction_digits(path: &PropagationPath) -> Vec<usize> {
     let digit = |interaction: &Interaction| match interaction {
         Interaction::Reflection { .. } => 1,

@@ -42,7 +42,7 @@ const TEST_EVERY: usize = 5;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutputLayout {
     /// Spectra as images, as in NeRF2.
-    Pictures,
+    Images,
     /// Spectra as one array, `spectra.npy`, written without holding all in memory.
     Array,
     /// Powers in a table with one column per receiver, as in the BLE set of NeRF2.
@@ -56,10 +56,10 @@ pub enum OutputLayout {
 }
 
 impl OutputLayout {
-    /// Returns an error if `recipe`, with path tables if `paths`, does not fit the layout.
-    pub(super) fn check(self, recipe: &SimulationRecipe, paths: bool) -> Result<()> {
+    /// Returns an error if `recipe`, or path tables if `has_paths`, do not fit the layout.
+    pub(super) fn check(self, recipe: &SimulationRecipe, has_paths: bool) -> Result<()> {
         let fits = match self {
-            Self::Pictures | Self::Array => recipe.observe == ObservationKind::Spectrum,
+            Self::Images | Self::Array => recipe.observe == ObservationKind::Spectrum,
             Self::Rssi => matches!(recipe.observe, ObservationKind::Power { .. }),
             Self::Channels | Self::Csi | Self::DeepMimo => matches!(recipe.observe, ObservationKind::Channel { .. }),
         };
@@ -68,20 +68,20 @@ impl OutputLayout {
             return Err(Error::Config(format!("{self:?} {problem}")));
         }
         let images = recipe.samples * recipe.scene.carrier_count();
-        if self == Self::Pictures && images > MOST_IMAGES {
+        if self == Self::Images && images > MOST_IMAGES {
             return Err(Error::Config(format!(
                 "{images} spectra exceed the limit of {MOST_IMAGES} images; write one array with --npy"
             )));
         }
         let holds_poses = matches!(self, Self::Array | Self::Rssi | Self::Channels);
-        if recipe.scene.moving_receiver.is_some() && (!holds_poses || paths) {
+        if recipe.scene.moving_receiver.is_some() && (!holds_poses || has_paths) {
             return Err(Error::Config(format!(
                 "the receiver of scene `{}` moves, which only arrays of spectra, powers and channels without paths support; \
                  add --no-paths, and --npy for spectra (in Python layout=\"arrays\")",
                 recipe.scene.name
             )));
         }
-        if !recipe.scene.carriers_hz.is_empty() && !matches!(self, Self::Pictures | Self::Array) {
+        if !recipe.scene.carriers_hz.is_empty() && !matches!(self, Self::Images | Self::Array) {
             return Err(Error::Config(format!(
                 "scene `{}` has several carriers, which only spectra support; remove --layout, or select one with --carrier-hz",
                 recipe.scene.name
@@ -100,7 +100,7 @@ impl OutputLayout {
 
     /// Returns the number of the first sample, as in NeRF2: 1 for spectra, 0 for powers and channels.
     fn first_id(self) -> usize {
-        usize::from(matches!(self, Self::Pictures | Self::Array))
+        usize::from(matches!(self, Self::Images | Self::Array))
     }
 }
 
@@ -144,7 +144,7 @@ impl DatasetFiles {
         let create = |name, header: Vec<u8>| GrowingFile::create(folder.join(name), &header).map(Some);
         let shape = [links, first.receiver().array.element_count(), scene.frequencies().len()];
         let array = match layout {
-            OutputLayout::Pictures => {
+            OutputLayout::Images => {
                 let path = folder.join(IMAGES);
                 fs::create_dir(&path).map_err(|e| Error::write(&path, e))?;
                 None
@@ -154,11 +154,11 @@ impl DatasetFiles {
             OutputLayout::Csi => create("csidata.npy", npy_header_as("<c8", &shape))?,
             OutputLayout::Rssi | OutputLayout::DeepMimo => None,
         };
-        // Metadata of several receivers are in another file.
+        // Only a cached folder has several receivers in one array; its reader takes them from the recipe.
         let is_alone = scene.more_receivers.is_empty();
         let absolute = || TextFile { name: POWER, text: "id,path_gain_db,low,high\n".into() };
         let table = match layout {
-            OutputLayout::Pictures => Some(absolute()),
+            OutputLayout::Images => Some(absolute()),
             OutputLayout::Array => is_alone.then(absolute),
             OutputLayout::Rssi => {
                 let names: Vec<&str> = receivers.iter().map(|receiver| &*receiver.receiver().name).collect();
@@ -254,7 +254,7 @@ fn create_metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFi
     let first = &receivers[0];
     let antennas = first.antenna_positions().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
     match layout {
-        OutputLayout::Pictures | OutputLayout::Array => {
+        OutputLayout::Images | OutputLayout::Array => {
             let text = gateway_yaml(&format!("{} (simulated)", scene.name), &scene.receiver.pose());
             Some(TextFile { name: "gateway_info.yml", text })
         }

@@ -17,7 +17,7 @@ const SOLID: f64 = 10.0;
 const LONGEST: usize = 60;
 /// Number of steps per metre of a coordinate; neighbouring triangles then have equal corners.
 const STEPS: f64 = 1e9;
-/// Largest conductivity, S/m, for the single precision of Sionna RT.
+/// Largest conductivity, S/m, for the single precision of Sionna RT; scenes from Mitsuba files have the same limit.
 const MOST_CONDUCTIVITY: f64 = 1e12;
 
 /// Writes the surfaces of `scene` into the new folder `out`: `scene.xml`, and a PLY file per object, and for walls,
@@ -61,7 +61,8 @@ pub fn export_scene(scene: &SceneFile, out: &Path) -> Result<usize> {
     Ok(ids.len())
 }
 
-/// Returns an error for a scene with an opening or a permittivity that the format does not support.
+/// Returns an error for a scene with an opening, which the format does not support, or a permittivity outside the range of
+/// scenes from Mitsuba files.
 fn check_exportable(scene: &SceneFile) -> Result<()> {
     if let Some(opening) = scene.objects.iter().find(|object| object.finish().is_none()) {
         let advice = "cannot be exported; remove it, or cut the hole into a mesh";

@@ -32,7 +32,7 @@ impl PathTable {
         Self { receiver_from_world: world_from_receiver.transpose(), faces, edges }
     }
 
-    /// Returns the rows of transmitter `id` as text, one line per path.
+    /// Returns the rows of transmitter `id` as text, one line per path, with the columns of [`Self::HEADER`].
     pub(crate) fn transmitter_rows(&self, id: usize, paths: &[PropagationPath]) -> String {
         let mut text = String::new();
         for (i, path) in paths.iter().enumerate() {

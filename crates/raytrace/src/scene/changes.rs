@@ -30,8 +30,8 @@ impl SceneFile {
         self.checked()
     }
 
-    /// Returns the scene with its receiver at these poses, about a transmitter at `tx`, metres; `None`: where a scene with
-    /// `moving_receiver` has it.
+    /// Returns the scene with its receiver at these poses, about a transmitter at `tx`, metres; `None` keeps the transmitter
+    /// of a scene with `moving_receiver`.
     ///
     /// # Errors
     /// No pose or an invalid one, no transmitter, or several receivers.

@@ -81,7 +81,7 @@ impl MitsubaScene {
             let problem = "a single wall has no default antennas; name the XML file in a scene file, as `mitsuba`";
             return Err(Error::Config(problem.into()));
         }
-        // Heights of people, or the middle of anything lower; multiples of 0.1 mm, as transmitters are.
+        // Heights of people, or the middle of anything lower except bare ground; multiples of 0.1 mm, as transmitters are.
         let height = if high.z - low.z > 0.01 { (0.5 * (high.z - low.z)).min(1.5) } else { 1.5 };
         let round = |point: DVec3| point.to_array().map(|v| (v * 1e4).round() / 1e4);
         let middle = (0.5 * (low + high)).with_z(low.z + height);
@@ -141,6 +141,7 @@ impl<'a> Reader<'a> {
                 "default" => self.read_variable(node)?,
                 "bsdf" => self.declare_material(node, &mut scene)?,
                 "alias" => {
+                    // A use of an alias of no material reports it as unknown.
                     let [id, alias] = ["id", "as"].map(|name| self.required_attribute(node, name));
                     let named = self.materials.get(&id?).copied();
                     self.materials.extend(named.map(|node| alias.map(|alias| (alias, node))).transpose()?);

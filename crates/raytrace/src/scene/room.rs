@@ -301,7 +301,8 @@ impl Object {
     }
 }
 
-/// Returns an error unless lower corners and heights, metres, give a vertical rectangle: a `kind` of object.
+/// Returns an error unless lower corners and heights, metres, give a vertical rectangle. `kind` of object, for the error:
+/// `panel` or `opening`.
 fn check_vertical_rectangle(kind: &str, from: &[f64; 2], to: &[f64; 2], heights: &[f64; 2]) -> Result<(), String> {
     if !from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR) {
         return Err(format!("`from`, `to` and `heights` must be finite numbers in metres within {:.0} km", FAR / 1e3));

@@ -124,7 +124,8 @@ impl Transmitters {
         }
     }
 
-    /// Draws `count` positions in `free` space, metres, world frame; a list gives at most as many as it has.
+    /// Draws `count` positions, metres, world frame; a list gives at most as many as it has. `free` returns the obstacle
+    /// at a position that cannot hold a transmitter.
     ///
     /// # Errors
     /// Errors of [`Self::check`]; no free space; a grid with too few points; a point of a grid or list that is not
@@ -246,7 +247,7 @@ impl Region {
         DVec3::from_array(self.low.map(|grain| grain as f64 / GRAINS))
     }
 
-    /// Returns the largest minus smallest corner, metres.
+    /// Returns the sides of the box, metres.
     fn size(&self) -> DVec3 {
         DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
     }
@@ -335,7 +336,8 @@ impl Sampler<'_> {
         chosen.into_iter().enumerate().map(position_at).collect()
     }
 
-    /// Draws the walk of a carried transmitter, modelled on the 6,123 positions of the measured `s23` set.
+    /// Draws the walk of a carried transmitter with a median step of `step` metres, modelled on the 6,123 positions of the
+    /// measured `s23` set.
     ///
     /// In `s23`, a step is longer than x with a probability close to x₀/x, x₀ being half the median of 10.4 mm; the
     /// directions of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at lags of 1, 3, 8 and 20 steps; and half of the

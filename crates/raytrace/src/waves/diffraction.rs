@@ -102,8 +102,8 @@ fn transition_over_root(v: f64) -> Complex {
 }
 
 /// Returns the parameter t of the diffraction point on the line a + t(b - a) for the path from `tx` to `rx`: the shortest
-/// path, with equal angles before and after the edge (Keller's cone). t may lie outside [0, 1]. Midway if both ends lie on
-/// the line; 0 for an edge of zero length.
+/// path, with equal angles before and after the edge (Keller's cone). t may lie outside [0, 1]. If `tx` and `rx` lie
+/// on the line, the point is midway between them. 0 for an edge of zero length.
 pub fn edge_parameter(a: DVec3, b: DVec3, tx: DVec3, rx: DVec3) -> f64 {
     let edge = b - a;
     let length = edge.length();

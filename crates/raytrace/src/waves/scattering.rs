@@ -89,6 +89,7 @@ fn lobe_integral(exponent: u32, cos_incidence: f64) -> f64 {
 /// * `scattering`: S, in [0, 1]; `reflection`: |Γ| of the smooth surface.
 /// * `density`: result of [`Lobe::density`], 1/sr; `area`: dA, m²; `cos_incidence`: cos θ from the normal.
 /// * `distances`: r₁ from the transmitter to the patch and r₂ on to the receiver, metres, large against the patch.
+/// * `wavelength`: λ, metres.
 pub fn patch_amplitude(
     scattering: f64,
     reflection: f64,

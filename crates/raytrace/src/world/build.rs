@@ -192,7 +192,8 @@ fn face_edge(part: &WorldPart<'_>, (ends, owners): (&[u32; 2], &Vec<usize>), tri
         mesh.vertices[index as usize]
     };
     let face_of = |t: usize| triangles[t].face;
-    let (faces, outer_angle, side) = match **owners {
+    // `sign` is that of the normal of the first face on the outer side.
+    let (faces, outer_angle, sign) = match **owners {
         [only] => ([face_of(only); 2], 2.0, 1.0),
         [one, other] if face_of(one) != face_of(other) => {
             let (n0, n1) = (triangles[one].normal(), triangles[other].normal());
@@ -211,7 +212,7 @@ fn face_edge(part: &WorldPart<'_>, (ends, owners): (&[u32; 2], &Vec<usize>), tri
     }
     let inwards = third(owners[0]) - p;
     let along = (inwards - inwards.dot(direction) * direction).normalize();
-    Some(Edge { ends: [p, q], faces, along, normal: side * triangles[owners[0]].normal(), outer_angle })
+    Some(Edge { ends: [p, q], faces, along, normal: sign * triangles[owners[0]].normal(), outer_angle })
 }
 
 /// Returns the convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).

@@ -97,7 +97,8 @@ pub(super) fn is_coplanar(one: &Face, other: &Face) -> bool {
 /// # Errors
 /// Too many pairs or tests.
 pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
-    // Coplanar faces have the same rounded key, except near cell borders, whose neighbours are also tested.
+    // Coplanar faces are in the same cell: its side of 1e-3 (normals; offsets in metres) is wide against `TOUCHING`. The
+    // second of two shifted grids joins those that a cell border of the first separates.
     let key = |face: &Face, nudge: f64| {
         let n = face.normal;
         // Opposite normals have one key; with these weights, no common normal gives a sum near 0.

@@ -70,7 +70,7 @@ fn surface_properties(scene: &SceneFile, owner: &str, finish: &Finish) -> Surfac
     }
 }
 
-/// Adds the room with its finishes, as the first part.
+/// Adds the room as the first part, and its surfaces in the order of [`SceneFile::finishes`], which the export relies on.
 fn add_room(builder: &mut WorldBuilder, scene: &SceneFile, Room { outline, walls, floor, ceiling }: &Room) {
     let [walls, floor, ceiling] = [("walls", walls), ("floor", floor), ("ceiling", ceiling)]
         .map(|(owner, f)| builder.add_surface(surface_properties(scene, owner, f)));
@@ -114,7 +114,7 @@ fn room_mesh(outline: &Outline) -> Mesh {
     Mesh { vertices, triangles }
 }
 
-/// Adds an object, or cuts an opening into earlier parts.
+/// Adds an object and its surface, or cuts an opening into earlier parts.
 ///
 /// # Errors
 /// A mesh that cannot be read or is not closed as required, or an opening outside any wall.

@@ -128,7 +128,7 @@ impl WorldBuilder {
                 break;
             }
         }
-        // At acute corners, a probe beside the edge misses its last millimetre.
+        // At acute corners, a probe beside the edge misses its last millimetres.
         pieces.retain(|piece| piece.ends == edge.ends || piece.ends[0].distance(piece.ends[1]) > 4.0 * BEYOND);
         pieces
     }

@@ -20,11 +20,14 @@ pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
         let tag = text[start + 1..].split('<').next().unwrap_or_default();
         namespaces += tag.matches("xmlns").count();
         let attributes = if tag.starts_with(['!', '?']) { 0 } else { tag.matches('=').count() };
-        let (most, things) = match () {
-            () if i >= MOST_TAGS => (MOST_TAGS, "tags"),
-            () if attributes > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "attributes"),
-            () if namespaces > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "namespaces"),
-            () => continue,
+        let (most, things) = if i >= MOST_TAGS {
+            (MOST_TAGS, "tags")
+        } else if attributes > MOST_ATTRIBUTES {
+            (MOST_ATTRIBUTES, "attributes")
+        } else if namespaces > MOST_ATTRIBUTES {
+            (MOST_ATTRIBUTES, "namespaces")
+        } else {
+            continue;
         };
         let (line, before) = text[..start].split('\n').enumerate().last().unwrap_or_default();
         let problem = format!("more than {most} {things}; cut out a part of the scene");
@@ -44,7 +47,7 @@ pub(super) fn expand_variables(name: &str, value: &str, variables: &BTreeMap<&st
     check(value.len())?;
     let mut expanded = start.to_owned();
     for part in rest.split('$') {
-        // In reverse order, the longest name comes first.
+        // Of all names that begin the text, the longest comes first in reverse order.
         let entry = variables.iter().rev().find(|(variable, _)| part.starts_with(**variable));
         let (variable, text) = entry.ok_or_else(|| {
             let hint = did_you_mean(part, variables.keys().copied());

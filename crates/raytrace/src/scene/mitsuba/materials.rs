@@ -87,6 +87,7 @@ impl<'a> Reader<'a> {
                         `itu-radio-material`, or give its constants in `materials` of a scene file";
             let problem = format!("material {shown} of type {} {problem}", quoted(&kind));
             self.require(kind == "radio-material", node, problem)?;
+            // The same limits as in `output/mitsuba.rs`.
             let a = self.property_number(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
             let c = self.property_number(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
             // A name of ITU-R P.2040 would replace that material in the whole scene.
