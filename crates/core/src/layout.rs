@@ -22,10 +22,10 @@ impl Layout {
     /// Returns the ranges of the flat weight vector that [learn](WeightSpec::learns). Adjacent tensors share a range
     /// unless their weight decay differs.
     pub fn groups(&self) -> Vec<WeightGroup> {
-        let (mut groups, mut first): (Vec<WeightGroup>, usize) = (Vec::new(), 0);
+        let (mut groups, mut start): (Vec<WeightGroup>, usize) = (Vec::new(), 0);
         for spec in &self.weights {
-            let range = first..first + spec.len();
-            first = range.end;
+            let range = start..start + spec.len();
+            start = range.end;
             match groups.last_mut() {
                 _ if !spec.learns => {}
                 Some(last) if (last.range.end, last.decays) == (range.start, spec.decays) => last.range.end = range.end,
@@ -51,23 +51,24 @@ impl Layout {
     /// (below 1), and 1/(1 − rate) otherwise; all other weights get 1. All transmitters of a step share the draw.
     /// `None` if no layer is [hidden](WeightSpec::hidden).
     pub fn draw_dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
-        self.weights.iter().any(|spec| spec.hidden).then(|| {
-            let (mut factors, mut units) = (Vec::with_capacity(self.weight_count()), Vec::new());
-            for spec in &self.weights {
-                if !spec.hidden {
-                    factors.resize(factors.len() + spec.len(), 1.0);
-                    continue;
-                }
-                // A bias, with one axis, shares the draws of its weight, which precedes it.
-                if spec.shape.len() > 1 {
-                    let factor = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
-                    units = (0..spec.shape[0]).map(factor).collect();
-                }
-                let weights_per_unit = spec.len() / units.len().max(1);
-                factors.extend(units.iter().flat_map(|factor| std::iter::repeat_n(*factor, weights_per_unit)));
+        if !self.weights.iter().any(|spec| spec.hidden) {
+            return None;
+        }
+        let (mut factors, mut units) = (Vec::with_capacity(self.weight_count()), Vec::new());
+        for spec in &self.weights {
+            if !spec.hidden {
+                factors.resize(factors.len() + spec.len(), 1.0);
+                continue;
             }
-            factors
-        })
+            // A bias, with one axis, shares the draws of its weight, which precedes it.
+            if spec.shape.len() > 1 {
+                let factor = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
+                units = (0..spec.shape[0]).map(factor).collect();
+            }
+            let weights_per_unit = spec.len() / units.len().max(1);
+            factors.extend(units.iter().flat_map(|factor| std::iter::repeat_n(*factor, weights_per_unit)));
+        }
+        Some(factors)
     }
 }
 

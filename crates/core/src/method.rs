@@ -146,8 +146,8 @@ pub trait Method: crate::plugin::PluginObject {
         None
     }
 
-    /// Returns the steps of a training with this `setup` on the device of the process; `None` if the device does not keep the
-    /// parameters of this method.
+    /// Returns a stepper, which runs training steps with this `setup` on the device of the process; `None` if the device does not
+    /// keep the parameters of this method.
     fn device_stepper<'a>(&'a self, setup: &MeasurementSetup) -> Option<Box<dyn DeviceStepper + 'a>> {
         None
     }

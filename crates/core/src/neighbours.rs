@@ -253,9 +253,9 @@ impl<'a, W: Fn(usize) -> bool> Search<'a, W> {
     }
 }
 
-/// Returns the `k` samples nearest to `order[rank]` among those before it in `order`, nearest first, for each of `ranks`: the
-/// conditioning sets of a likelihood (Vecchia, Journal of the Royal Statistical Society B 50, 1988). Positions have `width`
-/// coordinates.
+/// Returns for each of `ranks` the `k` samples nearest to `order[rank]` among those before it in `order`, nearest first; fewer if
+/// there are not enough. They are the conditioning sets of a likelihood (Vecchia, Journal of the Royal Statistical Society B 50,
+/// 1988). `position` returns the `width` coordinates of a sample.
 pub fn nearest_before<P: AsRef<[f64]>>(
     order: &[usize],
     ranks: &[usize],

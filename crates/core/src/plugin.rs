@@ -118,7 +118,7 @@ pub fn try_to_ron(value: &impl Serialize) -> Result<String, String> {
     ron_options().to_string_pretty(value, config).map_err(|e| e.to_string())
 }
 
-/// Writes a value as RON on one line, for titles; empty if RON cannot hold it.
+/// Writes a value as RON on one line; empty if RON cannot hold it.
 pub fn ron_line(value: &impl Serialize) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
     ron_options().to_string_pretty(value, config).unwrap_or_default()

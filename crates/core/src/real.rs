@@ -66,8 +66,8 @@ pub trait Lanes: Sized {
     /// Computes two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a
     /// multiple of 64, so that every vector width forms whole groups of four, which stay in registers.
     fn two_sums<S: Simd, const N: usize>(simd: S, sums: &mut [[Self; N]; 2], scales: [&[Self]; 2], rows: &[[Self; N]]);
-    /// Computes the scalar products of each vector of `a` with each of `b`, all of one length. The order of the additions
-    /// depends on that length only.
+    /// Computes the scalar products `[M, N]` of each vector of `a` with each of `b`, all of one length. The order of the
+    /// additions depends only on that length and the width of `simd`.
     fn dots<S: Simd, const M: usize, const N: usize>(simd: S, a: [&[Self]; M], b: [&[Self]; N]) -> [[Self; N]; M];
 }
 

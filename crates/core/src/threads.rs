@@ -3,7 +3,7 @@
 use crate::{Error, Result};
 use std::ops::RangeInclusive;
 
-/// Accepted numbers of threads.
+/// Accepted numbers of threads, jobs or seeds.
 pub const COUNTS: RangeInclusive<usize> = 1..=1024;
 
 /// Parses a number of threads, jobs or seeds.
