@@ -1,11 +1,14 @@
 //! Geometry of antenna arrays: a grid, or given positions.
 
 use std::fmt::Display;
+use std::ops::RangeInclusive;
 
 /// Largest number of rows, and of columns.
 const LARGEST: usize = 32;
 /// Largest number of given antennas.
 const MOST: usize = LARGEST * LARGEST;
+/// Distances between neighbours of the grid, wavelengths.
+const SPACINGS: RangeInclusive<f64> = 1e-3..=100.0;
 /// Largest coordinate of an antenna, wavelengths.
 const FARTHEST: f64 = 1e3;
 
@@ -52,9 +55,10 @@ impl<T: Copy + Display + PartialEq + Into<f64>> ArrayGeometry<'_, T> {
                 return Err(format!("`{field}` is {count}; give 1 to {LARGEST} antennas"));
             }
         }
-        if !(1e-3..=100.0).contains(&self.spacing.into()) {
-            let advice = "give 0.001 to 100, usually 0.5 or a little less";
-            return Err(format!("`spacing_wavelengths` is {}; {advice}", self.spacing));
+        if !SPACINGS.contains(&self.spacing.into()) {
+            let range = format!("{} to {}", SPACINGS.start(), SPACINGS.end());
+            let advice = "usually 0.5 or a little less";
+            return Err(format!("`spacing_wavelengths` is {}; give {range}, {advice}", self.spacing));
         }
         let has_default_grid = (self.rows, self.columns) == (default.rows, default.columns);
         let is_default = has_default_grid && self.spacing == default.spacing;

@@ -33,7 +33,8 @@ impl SiteSize {
             let (low, high) = statistics::bounds(positions.iter().map(|position| position[k]));
             high - low
         };
-        let spacing = statistics::median(nearest_others(&positions).into_iter().flatten().map(|other| other.0));
+        let spacing =
+            statistics::median(nearest_others(&positions).into_iter().flatten().map(|(distance, _)| distance));
         Self { spacing: if spacing.is_finite() { spacing } else { 1.0 }, longest: (0..3).map(side).fold(0.0, f64::max) }
     }
 

@@ -306,7 +306,7 @@ pub fn refuse_foreign(folder: &Path, expected: &str, accepted: &str) -> Result<(
     match read_entries(folder)?.into_iter().find(|entry| !is_leftover(entry)) {
         None => Ok(()),
         Some(entry) => {
-            Err(Error::Config(format!("{} is not {expected} and {}", folder.display(), occupied_problem(&entry))))
+            Err(Error::Config(format!("{} is not {expected} and {}", folder.display(), describe_occupied(&entry))))
         }
     }
 }
@@ -318,12 +318,12 @@ pub fn refuse_foreign(folder: &Path, expected: &str, accepted: &str) -> Result<(
 pub fn refuse_occupied(folder: &Path) -> Result<()> {
     match read_entries(folder)?.first() {
         None => Ok(()),
-        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), occupied_problem(entry)))),
+        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), describe_occupied(entry)))),
     }
 }
 
-/// Returns the end of an error about a folder that holds `entry`.
-fn occupied_problem(entry: &DirEntry) -> String {
+/// Describes a folder that holds `entry`, with the next step: the end of an error.
+fn describe_occupied(entry: &DirEntry) -> String {
     format!("not empty (it holds `{}`); choose another --out", entry.file_name().to_string_lossy())
 }
 

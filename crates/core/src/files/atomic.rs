@@ -23,13 +23,13 @@ pub fn check_new_file(path: &Path) -> Result<()> {
     remove_temporaries(parent(path), &[&short_name(path)]);
     // Includes broken links, which may point anywhere.
     if path.symlink_metadata().is_ok() {
-        return Err(exists_fault(path));
+        return Err(exists_error(path));
     }
     check_file_path(path)
 }
 
 /// Creates the error for a path that exists.
-fn exists_fault(path: &Path) -> Error {
+fn exists_error(path: &Path) -> Error {
     Error::Config(format!("{} exists; choose another name or remove it", path.display()))
 }
 
@@ -56,7 +56,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<File> {
 /// # Errors
 /// [`Error::Config`] if the path exists, even if it was free a moment ago; [`Error::Write`].
 pub fn create(path: &Path, bytes: &[u8]) -> Result<()> {
-    if write_new(path, bytes)? { Ok(()) } else { Err(exists_fault(path)) }
+    if write_new(path, bytes)? { Ok(()) } else { Err(exists_error(path)) }
 }
 
 /// Writes a new file atomically. Returns `false` if the path exists and leaves it unchanged: of several processes that

@@ -225,7 +225,7 @@ impl Parameter {
     ];
 }
 
-/// Multiplies one parameter of `from` by `factor`. `None` outside the range.
+/// Multiplies one parameter of `from` by `factor`. `None` if a result is outside its range.
 fn scaled_parameter(from: &Correlation, parameter: Parameter, factor: f64, typical_m: f64) -> Option<Correlation> {
     let mut next = *from;
     if let Parameter::Lengths | Parameter::LengthsAndNoise = parameter {

@@ -204,6 +204,7 @@ impl<'a> Powers<'a> {
     fn receiver_errors(&self, fit: &PooledFit, links: &[usize], count: usize) -> Vec<([i64; 3], f64)> {
         let edge = self.site.block_edge();
         let block = |i: usize| block_of(position_of(self.links[i].place), edge);
+        // Without distances, slopes are 0.
         let residual = |i: usize| {
             let link = &self.links[i];
             link.value - fit.path_losses[link.receiver].power(link.log_distance.unwrap_or(0.0))
