@@ -102,7 +102,7 @@ impl DataSource for Arrays {
         let samples: Vec<Sample> = ids.iter().zip(&locations.poses).map(|(&id, pose)| Sample::new(id, *pose)).collect();
         let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
         let (title, simulation) = read_title(&root, &name, "arrays");
-        let ends = locations.link_ends(vec![gateway.receiver()], Some(gateway.pose.position));
+        let ends = locations.link_ends(vec![gateway.create_receiver()], Some(gateway.pose.position));
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
         let data = match read_row_carriers(&root, table, data.len())? {

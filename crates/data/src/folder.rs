@@ -71,7 +71,8 @@ pub(crate) fn folder_name(root: &Path) -> String {
 /// Unit of received powers of receivers that are not calibrated.
 pub(crate) const RELATIVE: &str = "dB (relative)";
 
-/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()): the fields are its keys.
+/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()), which must use the names of the
+/// fields as keys.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Manifest {

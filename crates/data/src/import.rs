@@ -119,8 +119,8 @@ impl<'a> Sink<'a> {
         Self { scale, elevation, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
     }
 
-    /// Creates the file before the first spectrum, which comes from `from`. Returns an error if the shape `[M,H,W]` does not
-    /// fit the elevations, or if the file cannot be created.
+    /// Creates the file before the first spectrum, which comes from `from` as values of type `number`. Returns an error if the
+    /// shape `[M,H,W]` does not fit the elevations, or if the file cannot be created.
     fn begin(&mut self, from: &Path, shape: [usize; 3], number: Number) -> Result<()> {
         let (elevation, advice) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
         if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), advice) {
@@ -165,8 +165,8 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
-    /// Flushes the file of spectra from `from` and returns the summary. Returns an error if the range of values is
-    /// invalid, or if the write failed.
+    /// Flushes the file and returns the summary; `from` is the input. Returns an error if the range of values is invalid, or
+    /// if the write failed.
     fn finish(self, from: &Path) -> Result<Imported> {
         self.range.check(from, self.scale)?;
         let file = self.file.map(|mut file| file.flush().and_then(|()| file.get_ref().sync_all()));

@@ -114,7 +114,7 @@ impl DataSource for Nerf2Spectrum {
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
         let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
-        let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
+        let data = Dataset::of_links(title, vec![gateway.create_receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, unmatched, ..data };
         match read_row_carriers(&root, "tx_pos.csv", positions.len())? {
             Some(rows) => data.with_carriers(&ids.iter().map(|&id| rows[id as usize - 1]).collect::<Vec<f64>>()),
@@ -147,7 +147,7 @@ fn check_matches(root: &Path, matched: usize, images: usize) -> Result<()> {
     Ok(())
 }
 
-/// Returns an error if the `size` of spectra, width and height in pixels, does not suit their elevations; `path` is named.
+/// Returns an error, which names `path`, if the `size` of spectra, width and height in pixels, does not suit their elevations.
 /// `stated`: the elevations come from a setting or a file.
 pub(crate) fn check_image_size(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
     let advice =

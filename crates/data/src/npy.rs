@@ -170,7 +170,7 @@ impl<'a> ComplexFile<'a> {
         self.shape.iter().product()
     }
 
-    /// Appends the numbers to `values`. Returns an error for a number that is not finite.
+    /// Appends the numbers to `values`. Returns the errors of [`NumberReader::read`].
     fn read(mut self, values: &mut Vec<[Real; 2]>) -> Result<()> {
         NumberReader::begin(&self.header, self.path, self.length)?.read(&mut self.file, |piece| {
             values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
@@ -178,7 +178,8 @@ impl<'a> ComplexFile<'a> {
     }
 }
 
-/// Returns an error for numbers of an array `[M,A,F]` that are too large to compute with.
+/// Returns an error for numbers of an array `[M,A,F]` that are too large to compute with; the message has the index of the
+/// first.
 pub(crate) fn check_magnitudes(path: &Path, shape: [usize; 3], values: &[[Real; 2]]) -> Result<()> {
     let mut faults = values.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
     let fastest_first = [2, 1, 0]; // row-major
@@ -247,10 +248,10 @@ impl<'a> NumberReader<'a> {
         Ok(Self { header, path, part, bytes, parts, count })
     }
 
-    /// Reads the numbers from `file`, in its order. `take` gets pieces of them, so that they are not in memory twice. Returns an
-    /// error for a number that is not finite.
+    /// Reads the numbers from `file`, in its order. `take` gets pieces of them, so that they are not in memory twice; of complex
+    /// numbers, real and imaginary parts in turn. Returns an error for a truncated file, or a number that is not finite.
     pub(crate) fn read(self, file: &mut dyn Read, mut take: impl FnMut(&[f64])) -> Result<()> {
-        /// Number of parts that are read at a time.
+        /// Number of parts that are read at a time; even, so that a piece holds whole complex numbers.
         const PIECE: usize = 1 << 16;
         let Self { header, path, part, bytes, parts, count } = self;
         let is_big_endian = header.descr.starts_with('>');

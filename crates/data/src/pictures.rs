@@ -63,7 +63,7 @@ fn parse_file_id(path: &Path, extension: &str) -> Option<u32> {
 pub(crate) type Decode<'a> = dyn Fn(&Path) -> Result<GreyImage> + Sync + 'a;
 
 /// Decodes all images in parallel into spectra of 8 bits; the first sets the size. Returns the error of the first bad file
-/// in the given order.
+/// in the given order, or an error if there is no file, or if the pixels do not fit into memory.
 pub(crate) fn load_spectra(files: &[&Path], decode: &Decode<'_>, progress: Progress<'_>) -> Result<Spectra> {
     let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
     let GreyImage { width, height, bytes, .. } = decode(first)?;
@@ -121,8 +121,8 @@ impl GreyImage {
     }
 }
 
-/// Decodes a grey PNG image of at most this `depth`, or one of colours of `map`. Returns an error for another format, or a
-/// damaged or too large file.
+/// Decodes a grey PNG image of at most this `depth`, or a PNG or JPEG image in colours of `map`. Returns an error for another
+/// format, or a missing, damaged or too large file.
 pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) -> Result<GreyImage> {
     if map.is_some() {
         return decode_luminance(path, "add the image", map);
@@ -138,7 +138,7 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) 
         (ExtendedColorType::L8, ColorType::L8) => Number::U8,
         (ExtendedColorType::L16, ColorType::L16) if depth == Depth::Sixteen => Number::U16,
         (original, _) => {
-            decode_luminance(path, "add the image", None)?; // names a colour map
+            decode_luminance(path, "add the image", None)?; // for colours of a map, this error is more specific
             let (kind, needed) =
                 (describe_colour(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
             let problem = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
@@ -221,7 +221,7 @@ fn has_end_marker(file: &[u8]) -> bool {
     false
 }
 
-/// Returns width and height of an image, or an error if it is too large.
+/// Returns width and height of an image, or an error if it has more than [`MAX_PIXELS`].
 fn checked_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
@@ -238,7 +238,7 @@ fn damage_error(path: &Path, e: &ImageError) -> Error {
     Error::input(path, format!("is cut short or damaged ({first}); copy it again"))
 }
 
-/// Creates a PNG decoder that skips metadata and limits memory to [`MAX_BESIDE`]. Returns an error for a damaged header.
+/// Creates a PNG decoder with [`decoder_limits`]; it ignores a larger colour profile. Returns an error for a damaged header.
 pub(super) fn png_decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
     PngDecoder::with_limits(Cursor::new(file), decoder_limits())
 }
@@ -250,7 +250,7 @@ fn decoder_limits() -> Limits {
     limits
 }
 
-/// Returns a colour type in words.
+/// Describes a colour type, such as `8-bit grey`.
 fn describe_colour(colour: ExtendedColorType) -> String {
     let bits = colour.bits_per_pixel() / u16::from(colour.channel_count());
     match colour.channel_count() {

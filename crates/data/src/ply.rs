@@ -70,7 +70,7 @@ impl BodyParser<'_> {
         Error::input(self.path, format!("{problem}; the file is cut short: copy it again"))
     }
 
-    /// Adds the corners of a row of `face`, or of `tristrips`. Returns the problem with an invalid face.
+    /// Adds the corners of a row of `face`, or of `tristrips`, to `out`. Returns the problem with an invalid face.
     fn add_face(&self, corners: &[i64], out: &mut Polygons) -> Result<(), String> {
         let Self { header, corners: face, .. } = self;
         let is_strip = face.is_some_and(|(e, _)| header.elements[e].name == STRIPS);
@@ -150,7 +150,7 @@ impl BodyParser<'_> {
                 PropertyKind::List { length, item } => {
                     let bytes = body.read_list(length, item).ok_or_else(|| self.truncation_error(element, i))?;
                     if *corners == Some((e, p)) {
-                        let index = |raw| to_integer(item.to_number(raw, body.is_big)).unwrap_or(-1); // out of range
+                        let index = |raw| to_integer(item.to_number(raw, body.is_big)).unwrap_or(-1); // no index
                         out.indices.clear();
                         out.indices.extend(bytes.chunks_exact(item.size()).map(index));
                         let fault = |fault| Error::input(path, format!("row {} of `{}`: {fault}", i + 1, element.name));

@@ -46,8 +46,8 @@ impl Polygons {
         Ok(())
     }
 
-    /// Adds the triangles of a strip, of which every second has the opposite orientation; a negative index begins a new
-    /// strip. Returns the problems of [`Self::push`].
+    /// Adds the triangles of strips, of which every second has its corners exchanged to keep the orientation; a negative index
+    /// ends a strip. Returns the problems of [`Self::push`].
     pub(crate) fn push_strips(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
         let windows = corners.split(|corner| *corner < 0).flat_map(|strip| strip.windows(3).enumerate());
         windows
@@ -111,6 +111,7 @@ fn split_polygon(vertices: &[[f64; 3]], corners: &[u32], out: &mut Vec<[u32; 3]>
     if n > MOST_CORNERS {
         return Err("is too intricate");
     }
+    // The polygon is projected along the largest component of its normal.
     let axis = if normal.abs().max_element() == 0.0 { 2 } else { normal.abs().max_position() };
     let flat = |p: [f64; 3]| DVec2::new(p[(axis + 1) % 3], p[(axis + 2) % 3]);
     let plan: Vec<[f64; 2]> = (0..n).map(|k| (flat(position(k)) - flat(position(0))).to_array()).collect();
@@ -123,7 +124,7 @@ fn split_polygon(vertices: &[[f64; 3]], corners: &[u32], out: &mut Vec<[u32; 3]>
         let [b, c] = if area < 0.0 { [c, b] } else { [b, c] };
         out.push([a, b, c].map(|k| corners[*k as usize]));
     }
-    // Ears of a polygon that crosses itself cover another area than the polygon.
+    // Up to rounding, ears cover the area of the polygon, unless it crosses itself.
     if covered > 0.0 && (covered - normal[axis].abs()).abs() <= 1e-6 * covered { Ok(()) } else { Err("crosses itself") }
 }
 

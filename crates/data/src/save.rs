@@ -68,7 +68,7 @@ fn is_code_free(powers: &[Real]) -> bool {
     powers.iter().all(|dbm| *dbm as f64 != NOT_RECEIVED)
 }
 
-/// Returns a name as a cell of a CSV table, quoted if needed.
+/// Returns a name as a cell of a CSV table, quoted unless it is ASCII without commas.
 fn csv_cell(name: &str) -> String {
     let (is_plain, name) = (name.chars().all(|c| c.is_ascii() && c != ','), cell(name));
     if is_plain { name.into_owned() } else { format!("\"{name}\"") }
@@ -79,7 +79,7 @@ pub fn poses_csv(poses: impl Iterator<Item = Pose>) -> String {
     std::iter::once("x,y,z,qx,qy,qz,qw\n".into()).chain(poses.map(pose_row)).collect()
 }
 
-/// Returns a row of [`poses_csv`]: metres and a unit quaternion.
+/// Returns a row of [`poses_csv`], in the order of its header: metres and a unit quaternion.
 pub fn pose_row(Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] }: Pose) -> String {
     format!("{x:?},{y:?},{z:?},{qx:?},{qy:?},{qz:?},{qw:?}\n")
 }
@@ -151,8 +151,8 @@ impl FolderWriter<'_> {
         self.data.scene.receivers.iter().any(|receiver| receiver.carrier_hz.is_some())
     }
 
-    /// Returns the carriers of all links, Hz, if a reader makes the same receivers of them: those of one fixed array, with the
-    /// names of ascending carriers if there are several; otherwise `None`.
+    /// Returns the carrier of each link, Hz; `None` unless a reader restores the receivers from these: one receiver, or one array
+    /// at ascending carriers whose receivers have the names of their carriers.
     fn link_carriers(&self) -> Option<Vec<f64>> {
         let receivers = &self.data.scene.receivers;
         let is_named =
@@ -275,8 +275,8 @@ impl FolderWriter<'_> {
     }
 
     /// Writes `manifest.json`: program version, title, whether the data are simulated, and the properties that no other file
-    /// holds. Bounds of the scene are written only if they are not those of the data, such as in a subset. Returns the errors
-    /// of [`Self::write_file`].
+    /// holds; `Manifest` in `folder.rs` reads these keys. Bounds of the scene are written only if they are not those of the
+    /// data, such as in a subset. Returns the errors of [`Self::write_file`].
     fn write_manifest(&self) -> Result<()> {
         let (data, scene) = (self.data, &self.data.scene);
         let mut manifest = serde_json::json!({

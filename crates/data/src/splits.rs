@@ -31,7 +31,7 @@ fn share_count(share: f64, n: usize) -> usize {
     target.max(usize::from(share > 0.0)).min(n.saturating_sub(1))
 }
 
-/// Returns `train` without a random `share`, shuffled, and that share: (train, validation).
+/// Moves a random `share` of `train` to the validation set: (training, validation). Shuffles both unless the share is 0.
 fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     if share == 0.0 {
         return (train, Vec::new());

@@ -225,7 +225,7 @@ const MEAN: Real = 0.55;
 const SWING: Real = 0.45;
 
 impl Truth {
-    /// Draws `count` Gaussians around `receiver`, with one plane wave each as signal.
+    /// Draws `count` Gaussians around `receiver`, with one plane wave each as signal, from the ranges that [`Teacher`] states.
     pub(super) fn new(seed: u64, count: usize, receiver: &Pose) -> Self {
         let random = &mut rng::stream(seed, "teacher", 0);
         let mut cloud = GaussianCloud::default();
@@ -238,6 +238,7 @@ impl Truth {
                 Vec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             cloud.means.push((origin + world_from_receiver * (direction * distance)).to_array());
             let scale = distance * (uniform_between(random, 5.0, 12.0) / DEG).tan();
+            // Nearly round: each axis deviates by about 20 %.
             cloud.log_scales.push([0; 3].map(|_| scale.ln() + 0.2 * rng::normal(random)));
             cloud.quats.push(normalised([0; 4].map(|_| rng::normal(random))));
             cloud.opacity_logits.push(logit(uniform_between(random, 0.5, 0.9)));
@@ -255,7 +256,7 @@ impl Truth {
 }
 
 impl Wave {
-    /// Draws a wave of random amplitude, direction, wavelength and phase.
+    /// Draws a wave: amplitude from 0.4 to 1, wavelength from 1 to 2 m, any direction and phase.
     fn random(random: &mut Rng) -> Self {
         let strength = uniform_between(random, 0.4, 1.0);
         let angle = uniform_between(random, 0.0, TAU / 4.0);

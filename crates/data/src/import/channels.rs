@@ -97,13 +97,14 @@ impl ChannelImport {
         Ok((Dataset { simulation: self.simulated.then(Simulation::default), ..data }, notes))
     }
 
-    /// Creates the channels of the positions, antennas and subcarriers that were received, as indices. Returns an error for a
-    /// missing or invalid frequency, or another number of antenna positions.
+    /// Creates the channels of the positions, antennas and subcarriers that were received, as [`Grid::received`] lists them.
+    /// Returns an error for a missing or invalid frequency, or another number of antenna positions.
     fn create_channels(&self, mut grid: Grid, [rows, antennas, subcarriers]: &[Vec<usize>; 3]) -> Result<Dataset> {
         let (path, [_, count, width]) = (&self.channels[0], grid.size);
         let missing =
             || Error::Config("--carrier-hz is missing; give the centre frequency in Hz, such as 2.437e9".into());
         let carrier_hz = self.carrier_hz.ok_or_else(missing)?;
+        // `uniform_subcarriers` returns the error for a missing spacing.
         check_frequencies(carrier_hz, self.spacing_hz.unwrap_or(1.0)).map_err(Error::Config)?;
         let hz = uniform_subcarriers(path, carrier_hz, self.spacing_hz.unwrap_or(f64::NAN), width)?;
         let positions = self.antennas.as_ref().map_or(Ok(vec![[0.0; 3]]), |path| read_positions(path, false))?;
@@ -219,7 +220,7 @@ impl Grid {
         is_received.map(|list| (0..list.len()).filter(|i| list[*i]).collect())
     }
 
-    /// Returns the meaning of the numbers; `None` for real numbers of both signs.
+    /// Returns the meaning of the numbers; `None` for real numbers of both signs, whose imaginary parts are probably elsewhere.
     fn kind(&self) -> Option<Kind> {
         let any = |is: fn(&[Real; 2]) -> bool| self.gains.iter().any(is);
         match (any(|[_, im]| *im != 0.0), any(|[re, _]| *re < 0.0), any(|[re, _]| *re > 0.0)) {

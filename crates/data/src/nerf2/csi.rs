@@ -104,6 +104,7 @@ impl DataSource for Nerf2Csi {
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
         let root = recognised_root(folder, &["csidata.npy", "base-station.yml"])?;
+        // One receiver with all antennas, as `pipelines/uplink.ron` has it.
         Some(Box::new(Self { root, together: true, ..self.clone() }))
     }
 
@@ -130,8 +131,8 @@ fn read_channels(path: &Path, antennas: usize) -> Result<ComplexArray> {
     Ok(array)
 }
 
-/// Reads the positions of the `snapshots` from `tx_pos.csv`, metres; `None` without the file. Returns an error for another
-/// number of rows.
+/// Reads the positions of the `snapshots` from `tx_pos.csv`, metres; `None` without the file. Returns an error for an invalid
+/// table, or another number of rows.
 fn read_positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
     let path = root.join("tx_pos.csv");
     if !path.exists() {
@@ -161,8 +162,8 @@ fn base_station(antennas: &[[f64; 3]]) -> Receiver {
     Receiver { antennas: antennas.iter().map(offset).collect(), ..Receiver::new("base station", pose) }
 }
 
-/// Takes the values of `array` and returns the uplink of every link as real numbers `[N A, 2F]`, and its downlink
-/// `[N A, F]`.
+/// Takes the values of `array` and returns the uplink of every link, `[N A, 2F]`: F real parts, then F imaginary parts; and its
+/// downlink, `[N A, F]`.
 fn split_links(array: &mut ComplexArray) -> (Vec<Real>, Vec<[Real; 2]>) {
     let subcarriers = array.shape[2];
     let (mut uplinks, mut downlinks) = (Vec::with_capacity(array.values.len()), Vec::new());

@@ -94,7 +94,7 @@ impl Gateway {
     }
 
     /// Creates the receiver, called `receiver` without a name in the file.
-    pub(crate) fn receiver(&self) -> Receiver {
+    pub(crate) fn create_receiver(&self) -> Receiver {
         Receiver::new(self.receiver.as_deref().unwrap_or("receiver"), self.pose)
     }
 }

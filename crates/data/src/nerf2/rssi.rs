@@ -83,12 +83,13 @@ impl DataSource for Nerf2Rssi {
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
         let missing = read_missing(&root);
         let codes = missing.as_deref().unwrap_or(&[NOT_RECEIVED]);
-        let mut received = read_links(&root.join("gateway_rssi.csv"), &names, codes, locations.poses.len())?;
-        warn_of_low_powers(&root, missing.is_some(), &received);
         let table = if locations.moving.is_receiver() { POSES } else { "tx_pos.csv" };
-        let rows = index::read_sets(&root, &|word| index::parse_row(word, table, locations.poses.len()))?;
+        let count = locations.poses.len();
+        let mut received = read_links(&root.join("gateway_rssi.csv"), &names, codes, (table, count))?;
+        warn_of_low_powers(&root, missing.is_some(), &received);
+        let rows = index::read_sets(&root, &|word| index::parse_row(word, table, count))?;
         let points = read_point_cloud(base, self.points.as_deref())?;
-        let transmitter = gateways[0].1.position;
+        let transmitter = gateways[0].1.position; // if the receivers move, all lines have that of the transmitter
         if locations.moving.is_receiver() && gateways.iter().any(|(_, pose)| pose.position != transmitter) {
             let problem = format!("the receivers move ({POSES}), but the position of their transmitter differs");
             return Err(Error::input(&root.join("gateway_position.yml"), format!("{problem}; give one position")));
@@ -155,26 +156,26 @@ fn warn_of_low_powers(root: &Path, is_declared: bool, received: &[PowerRow]) {
     }
 }
 
-/// Reads all received powers of a table with a column per gateway, by row, then gateway; `missing` are the values that mean that
-/// no signal was received. Returns an error unless every gateway has a column, each of the `rows` transmitters a row, and each of
-/// them at least one received power.
-fn read_links(path: &Path, gateways: &[String], missing: &[f64], rows: usize) -> Result<Vec<PowerRow>> {
+/// Reads all received powers of a table with a column per gateway, by row, then gateway; `codes` are the values that mean that
+/// no signal was received. Returns an error unless every gateway has a column, and each of the `count` positions in `file` a
+/// row with at least one received power.
+fn read_links(path: &Path, names: &[String], codes: &[f64], (file, count): (&str, usize)) -> Result<Vec<PowerRow>> {
     let unknown = ["has no position in gateway_position.yml", "add it there, or remove the column"];
     let unnamed = "a gateway that has a position; add one, or remove its line in gateway_position.yml";
-    let table = PowerTable { receivers: gateways, missing, advice: LAYOUT, unknown, unnamed: Some(unnamed) };
+    let table = PowerTable { receivers: names, missing: codes, advice: LAYOUT, unknown, unnamed: Some(unnamed) };
     let table = table.read(path)?;
     let mut received = Vec::new();
     for (row, (line, powers)) in table.iter().enumerate() {
         let links =
             powers.iter().enumerate().filter_map(|(gateway, dbm)| Some(PowerRow { row, gateway, dbm: (*dbm)? }));
         received.extend(links);
-        if row < rows && powers.iter().all(Option::is_none) {
-            let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
+        if row < count && powers.iter().all(Option::is_none) {
+            let advice = format!("remove the row here and in {file}, and number the index files anew");
             return Err(Error::at(path, *line, 1, format!("no gateway received this transmitter; {advice}")));
         }
     }
-    if table.len() != rows {
-        let problem = format!("holds {} rows of powers, but tx_pos.csv {rows} transmitters", table.len());
+    if table.len() != count {
+        let problem = format!("holds {} rows of powers, but {file} {count} positions", table.len());
         return Err(Error::input(path, format!("{problem}; give as many of each")));
     }
     Ok(received)

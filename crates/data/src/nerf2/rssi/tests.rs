@@ -68,6 +68,14 @@ fn reads_empty_cells_and_leaves_out_deaf_gateways() {
 }
 
 #[test]
+fn error_names_the_table_of_moving_receivers() {
+    let folder = Folder::new();
+    folder.write("rx_pose.csv", "x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n");
+    let error = folder.try_load().unwrap_err().to_string();
+    assert!(error.contains("holds 3 rows of powers, but rx_pose.csv 1 positions"), "{error}");
+}
+
+#[test]
 fn reports_position_of_invalid_input() {
     let folder = Folder::new();
     let cases = [
