@@ -73,7 +73,7 @@ const MOST: usize = 100_000;
 pub struct ReceiverSubset {
     /// Receivers: ascending after an exhaustive search, in the order of selection after a greedy search.
     pub receivers: Vec<usize>,
-    /// Coverage, dBm.
+    /// Coverage, dBm; NaN without receivers or transmitters.
     pub coverage: f64,
     /// Number of subsets whose coverage was computed.
     pub evaluations: usize,

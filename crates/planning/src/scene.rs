@@ -8,7 +8,7 @@ use pwrfgs_raytrace::{ObservationKind, PreparedReceiver, SILENT_DBM, SceneFile, 
 use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;
 
-/// Largest number of grid points, free or not.
+/// Largest number of grid points, free or not; also in the message.
 const MOST: f64 = 1e6;
 
 /// Returns the positions on a grid of `step` metres at `height` (metres) over the floor of `scene`, half a step from
@@ -20,7 +20,7 @@ pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64;
     free_positions(scene, &World::from_scene(scene)?, step, height)
 }
 
-/// Returns the positions of [`floor_grid`] if the `world` of the scene is built already, or its errors.
+/// Returns the result of [`floor_grid`] for the `world` that was built from `scene`.
 fn free_positions(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     let refuse = |problem: String| Error::Config(format!("scene `{}`: {problem}", scene.name));
     if !(step.is_finite() && step > 0.0) {
@@ -57,7 +57,7 @@ fn free_positions(scene: &SceneFile, world: &World, step: f64, height: f64) -> R
     Ok(free)
 }
 
-/// Largest number of links of a grid.
+/// Largest number of links of a grid; also in the message.
 const MOST_LINKS: usize = 4_000_000;
 /// Receivers traced between two reports of progress.
 const CHUNK: usize = 8;
@@ -124,12 +124,13 @@ impl SceneCoverage {
         transmitters.map(power).collect()
     }
 
-    /// Returns the powers in dBm `[T]` of a receiver at `position`; [`SILENT_DBM`] if one of its antennas is in an object.
+    /// Returns the powers in dBm `[T]` of a receiver at `position`; [`SILENT_DBM`] if it cannot be prepared, as with an antenna in
+    /// an object.
     fn powers_at(&self, position: [f64; 3]) -> Vec<f64> {
         let receiver = self.simulator.receiver_at(position);
         let count = self.transmitters.len();
         let powers = |receiver: PreparedReceiver| self.powers(&receiver, (0..count).into_par_iter());
-        receiver.map_or_else(|_in_object| vec![SILENT_DBM; count], powers)
+        receiver.map_or_else(|_| vec![SILENT_DBM; count], powers)
     }
 
     /// Returns the powers in dBm `[T]` per receiver of the grid. `progress` gets the number of traced receivers and
@@ -147,10 +148,10 @@ impl SceneCoverage {
         Ok(powers)
     }
 
-    /// Searches positions of `count` receivers with the largest coverage.
+    /// Searches positions of `count` receivers with the largest coverage, as [`ascend`].
     ///
     /// # Errors
-    /// Too few free positions, or [`Error::Stopped`] if `stop` is set.
+    /// Too few free positions, more than four receivers, or [`Error::Stopped`] if `stop` is set.
     pub fn ascend(&self, count: usize, seed: u64, stop: &AtomicBool) -> Result<AscentResult> {
         let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|position| position[k])));
         let result = ascend(count, seed, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], transmitters| {

@@ -34,7 +34,7 @@ pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
     }
 }
 
-/// Returns the diagonal of the smallest box around `points`, metres.
+/// Returns the diagonal of the smallest box around `points`, metres; 0 without points.
 pub(crate) fn box_diagonal(points: &[[f64; 3]]) -> f64 {
     let extent = |k: usize| {
         let (low, high) = bounds(points.iter().map(|p| p[k]));
@@ -130,10 +130,11 @@ impl Survey {
 
     /// Returns the state after the measurements of the survey and those of `plan`.
     fn start_search(&self, plan: &SurveyPlan) -> Search<'_> {
-        let prior = self.prior_covariances(plan.correlation);
+        let (prior, width) = (self.prior_covariances(plan.correlation), self.region.len());
+        let sum = |j: usize| dot(&prior[j * width..][..width], &prior[j * width..][..width]);
         let mut search = Search {
             posterior: Posterior::new(plan.correlation, &self.points),
-            sums: prior.par_chunks_exact(self.region.len().max(1)).map(|row| dot(row, row)).collect(),
+            sums: (0..self.candidates).into_par_iter().map(sum).collect(),
             prior,
             is_taken: vec![false; self.candidates],
             region: &self.region,
@@ -149,8 +150,8 @@ impl Survey {
         posterior
     }
 
-    /// Selects `count` candidates, or all if there are fewer, one after another, each with the largest variance: the common
-    /// rule.
+    /// Selects `count` candidates, or all if there are fewer, one after another, each with the largest variance; of
+    /// equal candidates the first.
     pub fn select_by_variance(&self, correlation: Correlation, count: usize) -> Vec<usize> {
         let mut posterior = self.posterior(correlation);
         let mut is_taken = vec![false; self.candidates];
@@ -307,6 +308,12 @@ mod tests {
         let means = survey.mean_variances(correlation, &order);
         assert!((means[8] - summed(&correlation, &region, &measured) / 50.0).abs() < 1e-12, "{means:?}");
         assert!(means.is_sorted_by(|a, b| a > b), "every measurement lowers the variance");
+    }
+
+    #[test]
+    fn empty_region_selects_each_candidate_once() {
+        let survey = Survey::new(&scattered(3, 1), &[], &[]);
+        assert_eq!(survey.select(exponential(1.0, 0.1), 3, |_| None, |_| true).order, [0, 1, 2]);
     }
 
     #[test]
