@@ -6,9 +6,7 @@
 pub(crate) use super::axes::ChartAxis;
 use super::axes::{AxisScale, PlotArea};
 use super::marks::Style;
-use crate::canvas::{
-    Anchor, Canvas, Colour, INK, LETTER_MIDDLE, Paint, Point, TEXT, TextStyle, text_width, truncate_text,
-};
+use crate::canvas::{Anchor, Canvas, Colour, INK, LETTER_MIDDLE, Paint, Point, TEXT, text_width, truncate_text};
 use pwrfgs_train::Training;
 
 /// Dimensions of a chart.
@@ -123,7 +121,7 @@ impl ChartLine {
 }
 
 impl Chart {
-    /// Draws the chart; `None` if there is nothing to draw.
+    /// Draws the chart; `None` without lines, or if an axis has no scale ([`AxisScale::new`]).
     pub(crate) fn draw(&self) -> Option<Canvas> {
         let points = || self.lines.iter().flat_map(ChartLine::visible_points);
         let x = AxisScale::new(&self.x, points().map(|p| p.0))?;
@@ -131,6 +129,7 @@ impl Chart {
         let ChartStyle { size: [width, height], margins: [left, top, right, bottom] } = self.style;
         let legend = Legend::new(self.lines.iter().filter_map(ChartLine::legend_symbol).collect(), width);
         let mut canvas = Canvas::new(width, height + legend.height());
+        // Room for names at the ends of lines, at most half of the width.
         let names = self.end_names().map(|(name, _)| text_width(name) + 12.0);
         let right = width - names.fold(right, f64::max).min(width / 2.0);
         let frame = PlotArea { x, y, left, top, right, bottom: height - bottom };
@@ -197,14 +196,15 @@ impl Chart {
         }
     }
 
-    /// Draws names at the ends of lines, moved apart if they would overlap.
+    /// Draws names to the right of the ends of lines, at least [`NAME_STEP`] apart, with a short stroke to each end.
     fn draw_end_names(&self, canvas: &mut Canvas, frame: &PlotArea) {
         let end =
             |(name, line): (_, &ChartLine)| Some((name, line.points.iter().rev().find_map(|p| frame.position(*p))?[1]));
         let mut names: Vec<(&str, f64)> = self.end_names().filter_map(end).collect();
         names.sort_by(|a, b| a.1.total_cmp(&b.1));
         let targets: Vec<f64> = names.iter().map(|n| n.1).collect();
-        for ((name, end), y) in names.into_iter().zip(separated_positions(&targets, 12.0, (frame.top, frame.bottom))) {
+        let ends = (frame.top, frame.bottom);
+        for ((name, end), y) in names.into_iter().zip(separated_positions(&targets, NAME_STEP, ends)) {
             canvas.line(&[[frame.right + 1.0, end], [frame.right + 6.0, y]], Paint::stroke(INK, 0.5));
             let left = frame.right + 8.0;
             canvas.text([left, y + LETTER_MIDDLE * TEXT], Anchor::Start, truncate_text(name, canvas.width - left));
@@ -214,6 +214,8 @@ impl Chart {
 
 /// Least distance of the centres of two marks.
 const MARK_DISTANCE: f64 = 8.0;
+/// Least vertical distance of two names at the ends of lines.
+const NAME_STEP: f64 = 12.0;
 
 /// Returns positions close to the ascending `targets` but at least `step` apart, and within `ends` if they have room. One pass
 /// moves them away from the first end, and one back from the last.
@@ -233,7 +235,7 @@ fn separated_positions(targets: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64>
 /// Heights of text, slightly smaller than on axes, and of a row.
 const SIZE: f64 = 10.5;
 const ROW: f64 = 17.0;
-/// Gaps from a symbol to its meaning, between columns, and at both sides.
+/// Gaps from a symbol to its meaning, between columns, and on all sides.
 const INDENT: f64 = 5.0;
 const GAP: f64 = 12.0;
 const MARGIN: f64 = 4.0;
@@ -265,33 +267,32 @@ impl Legend {
         let most = symbols.len().max(1);
         let rows = (1..most).find(|rows| total_width(&columns(*rows)) + 2.0 * MARGIN <= width).unwrap_or(most);
         let widths = columns(rows);
-        let mut x = ((width - total_width(&widths)) / 2.0).max(MARGIN);
-        let begin = |w: &f64| {
-            x += w + GAP;
-            x - w - GAP
-        };
-        Self { rows, columns: widths.iter().map(begin).collect(), symbols }
+        let first = ((width - total_width(&widths)) / 2.0).max(MARGIN);
+        let start = |k: usize| first + widths[..k].iter().map(|w| w + GAP).sum::<f64>();
+        Self { rows, columns: (0..widths.len()).map(start).collect(), symbols }
     }
 
     /// Returns the height of the legend; 0 without symbols.
     pub(crate) fn height(&self) -> f64 {
-        if self.symbols.is_empty() { 0.0 } else { ROW * self.rows as f64 + 8.0 }
+        if self.symbols.is_empty() { 0.0 } else { ROW * self.rows as f64 + 2.0 * MARGIN }
     }
 
-    /// Draws the legend below `top`, column by column.
+    /// Draws the legend below `top`, column by column; too long meanings are cut.
     pub(crate) fn draw(&self, canvas: &mut Canvas, top: f64) {
-        canvas.letters = TextStyle { size: SIZE, ..canvas.letters };
+        let letters = canvas.letters;
+        canvas.letters.size = SIZE;
         for (k, Symbol { drawing, meaning }) in self.symbols.iter().enumerate() {
-            let (x, middle) = (self.columns[k / self.rows], top + 4.0 + ROW * ((k % self.rows) as f64 + 0.5));
+            let (x, middle) = (self.columns[k / self.rows], top + MARGIN + ROW * ((k % self.rows) as f64 + 0.5));
             canvas.add_drawing([x, middle - SYMBOL / 2.0], 1.0, drawing);
             let left = x + drawing.width + INDENT;
             let room = (canvas.width - left) * TEXT / SIZE;
             canvas.text([left, middle + LETTER_MIDDLE * SIZE], Anchor::Start, truncate_text(meaning, room));
         }
+        canvas.letters = letters;
     }
 }
 
-/// Returns the phases of algorithm 1 as shaded ranges of training steps.
+/// Returns the three phases of a training (algorithm 1 of the paper) as shaded ranges of its steps.
 pub(crate) fn phase_bands(training: &Training) -> Vec<Band> {
     let (d, p, end) = (training.densify_until as f64, training.prune_until as f64, training.steps as f64);
     let band = |name, x, colour| Band { name, x, colour };
@@ -302,11 +303,11 @@ pub(crate) fn phase_bands(training: &Training) -> Vec<Band> {
     ]
 }
 
-/// Maximum number of corners of a step function; more cannot be distinguished in print.
+/// Number of corners beyond which a step function is thinned to about as many; more cannot be distinguished in print.
 const CORNERS: usize = 4_000;
 
-/// Returns the corners of a step function through `points`: each value holds until the next step. For many points, the
-/// ends and extremes of short ranges remain.
+/// Returns the corners of a step function through `points` (step and value): each value holds until the next step. Of more than
+/// [`CORNERS`] corners, only the ends and extremes of short ranges remain.
 pub(crate) fn decimate_steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut drawn: Vec<(f64, f64)> = Vec::new();
     for (i, &(step, n)) in points.iter().enumerate() {

@@ -32,14 +32,14 @@ pub struct LocationMap<'a> {
 }
 
 impl LocationMap<'_> {
-    /// Draws the map.
+    /// Draws the map around the region and the estimates, or without a region around these and the training positions.
     pub fn draw(&self) -> Canvas {
         let ends = self.estimates.iter().flat_map(|(estimate, truth)| std::iter::once(*estimate).chain(*truth));
         let mut corners = FloorPlan::frame(self.outlines.iter().flatten().copied().chain(ends));
         if self.outlines.is_empty() {
             corners = FloorPlan::frame(self.training.iter().copied().chain(corners));
         } else {
-            // Half a region of surroundings on every side.
+            // On every side, half the longer side of the frame of the region.
             let margin = 0.5 * (corners[1][0] - corners[0][0]).max(corners[1][1] - corners[0][1]);
             corners = [corners[0].map(|v| v - margin), corners[1].map(|v| v + margin)];
         }
@@ -67,6 +67,7 @@ impl LocationMap<'_> {
         if self.receivers.iter().any(|receiver| plan.contains(*receiver)) {
             words.push("squares: receivers");
         }
+        // 90 % is the coverage of the regions of `pwrfgs_localise`.
         let region = match self.parts {
             0 | 1 => "outline: 90 % region".to_owned(),
             parts => format!("outline: 90 % region in {parts} parts"),
@@ -104,7 +105,7 @@ impl LocationMap<'_> {
         map.pixels([left, top], [right - left, bottom - top], image);
     }
 
-    /// Draws a line from every true position to its estimate, and both ends.
+    /// Draws a line from every true position to its estimate, and both ends; larger if there is only one estimate.
     fn draw_estimates(&self, map: &mut Canvas, plan: &FloorPlan) {
         let is_single = self.estimates.len() == 1;
         let (mut lines, mut crosses) = (VectorPath::default(), VectorPath::default());

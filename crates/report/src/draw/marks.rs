@@ -70,8 +70,9 @@ impl Marker {
     pub(crate) const ALL: [Self; 8] =
         [Self::Circle, Self::Square, Self::Triangle, Self::Diamond, Self::Wedge, Self::Plus, Self::Star, Self::Cross];
 
-    /// Returns the corners around the centre, with a radius of about 1, y downwards.
+    /// Returns the corners around the centre, y downwards. The radii are about 1, so that all shapes look equally large.
     fn corners(self) -> Vec<(f64, f64)> {
+        // Corners at equal angles from the first one; their radii alternate.
         let ring = |n: usize, first_deg: f64, radii: &[f64]| -> Vec<(f64, f64)> {
             let corner = |k: usize| {
                 let (sin, cos) = (first_deg + 360.0 * k as f64 / n as f64).to_radians().sin_cos();
@@ -150,7 +151,7 @@ impl Style {
         Self::line(Colour::hex(GREYS[k / DASHES.len() % GREYS.len()]), 1.0, DASHES[k % DASHES.len()])
     }
 
-    /// Returns the style of published points.
+    /// Returns the style of published points: grey stars without a line.
     pub(crate) fn published(hollow: bool) -> Self {
         Self { marker: Some(Marker::Star), hollow, ..Self::line(GREY, 1.0, Stroke::None) }
     }
@@ -174,7 +175,7 @@ impl Style {
         }
     }
 
-    /// Draws the mark at `at`; nothing for a style without marks.
+    /// Draws the mark with its centre at `at`; nothing for a style without marks.
     pub(crate) fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
         let Some(marker) = self.marker else { return };
         // Marks without a line show behind others.

@@ -35,7 +35,8 @@ pub(crate) struct FloorPlan {
 }
 
 impl FloorPlan {
-    /// Creates the mapping for the area between two corners, in metres, for a given width and maximum map height.
+    /// Creates the mapping for the area between two corners, in metres, on a drawing at most `width` wide with a map
+    /// at most `most_height` high; `names` are those of the axes. A flat area is widened.
     pub(crate) fn new([low, high]: [Point; 2], names: [&'static str; 2], width: f64, most_height: f64) -> Self {
         let [low, high] = with_extent(low, high);
         let [left, top, right, bottom] = MARGINS;
@@ -53,7 +54,7 @@ impl FloorPlan {
             return [[-0.5; 2], [0.5; 2]];
         }
         let [x, y] = [0, 1].map(|k| bounds(points.iter().map(|point| point[k])));
-        let margin = 0.04 * (x.1 - x.0).max(y.1 - y.0).max(0.5);
+        let margin = 0.04 * (x.1 - x.0).max(y.1 - y.0).max(0.5); // 4 % of the longer side, 2 cm at least
         [[x.0 - margin, y.0 - margin], [x.1 + margin, y.1 + margin]]
     }
 
@@ -68,7 +69,7 @@ impl FloorPlan {
         (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&point[k]))
     }
 
-    /// Returns the corner, width and height of the map on the drawing.
+    /// Returns the upper left corner of the map on the drawing, and its width and height.
     pub(crate) fn map_area(&self) -> (Point, Point) {
         let [a, b] = [self.project([self.low[0], self.high[1]]), self.project([self.high[0], self.low[1]])];
         (a, [b[0] - a[0], b[1] - a[1]])
@@ -77,7 +78,7 @@ impl FloorPlan {
     /// Creates an empty map.
     pub(crate) fn empty_map(&self) -> Canvas {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
-        canvas.letters.size = 10.0;
+        canvas.letters.size = SMALL;
         let (at, size) = self.map_area();
         canvas.rect(at, size, Paint::fill(Colour::hex(0xfa_fbfc)));
         canvas
@@ -108,6 +109,7 @@ impl FloorPlan {
     fn ticks_and_title(&self, axis: usize) -> (Vec<(f64, String)>, String) {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
         let is_far = low.abs().max(high.abs()) > MOST_M;
+        // The middle of the axis, in whole kilometres.
         let start = if is_far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
         let tick_count = (((high - low) * self.scale / TICK) as usize).max(2);
         let ticks =
@@ -183,7 +185,8 @@ pub(crate) fn draw_receiver(canvas: &mut Canvas, [x, y]: Point) {
     canvas.circle([x, y], 2.0, Paint::fill(BLACK));
 }
 
-/// Widens the frame between two corners so that its shorter side is at least [`FLATTEST`] of the longer one.
+/// Widens the frame between two corners so that its shorter side is at least [`FLATTEST`] of the longer one; a point becomes a
+/// square metre.
 fn with_extent(mut low: Point, mut high: Point) -> [Point; 2] {
     let longest = (high[0] - low[0]).max(high[1] - low[1]);
     let least = if longest > 0.0 { FLATTEST * longest } else { 1.0 };
@@ -200,7 +203,7 @@ const MOST_HEIGHT: f64 = 420.0;
 /// Heights for the title above and the colour bar below the map.
 const HEAD: f64 = 22.0;
 const FOOT: f64 = 44.0;
-/// Size of the letters below the map.
+/// Size of the letters on and below the map.
 const SMALL: f64 = 10.0;
 /// Colour of values that are not finite.
 const NOTHING: Rgb = [0xe3, 0xe5, 0xe9];
@@ -293,8 +296,8 @@ impl Heatmap<'_> {
         wrap_text(&note, width * TEXT / SMALL)
     }
 
-    /// Returns the values of the first and last colour: the finite range of values, widened if they are equal; 0 to 1
-    /// without finite values; a full turn for angles.
+    /// Returns the values of the first and last colour: the finite range of values, widened if they are almost equal; 0 to 1
+    /// without finite values; 0 to 360 degrees for angles.
     fn colour_range(&self) -> (f64, f64) {
         if self.colours == Palette::Cyclic {
             return (0.0, 360.0);
@@ -308,7 +311,7 @@ impl Heatmap<'_> {
         }
     }
 
-    /// Returns the colour of a value in the range; grey if it is not finite.
+    /// Returns the colour of a value between `low` and `high`, which angles ignore; [`NOTHING`] if it is not finite.
     fn colour(&self, value: f64, (low, high): (f64, f64)) -> Rgb {
         match self.colours {
             _ if !value.is_finite() => NOTHING,
@@ -330,12 +333,14 @@ impl Heatmap<'_> {
         let (cell, rows) = (self.step * plan.scale, beyond.len() / self.columns.max(1));
         let [left, bottom] = plan.project(self.first.map(|v| v - self.step / 2.0));
         let [width, height] = [self.columns, rows].map(|count| count as f64 * cell);
+        // `x` and `y` are drawing units from the lower left corner.
         let is_beyond = |[x, y]: Point| {
             let [column, row] = [x, y].map(|v| (v / cell) as usize);
             x >= 0.0 && column < self.columns && row < rows && beyond[row * self.columns + column]
         };
         let mut lines = VectorPath::default();
         for k in 0..((width + height) / HATCH) as usize {
+            // Points one unit apart along each axis; hatch lines join neighbours that are both extrapolations.
             let diagonal: Vec<Point> =
                 (0..=height as usize).map(|y| [HATCH * k as f64 - height + y as f64, y as f64]).collect();
             let parts = diagonal.chunk_by(|a, b| is_beyond(*a) == is_beyond(*b)).filter(|part| is_beyond(part[0]));
@@ -367,6 +372,7 @@ impl Heatmap<'_> {
                 }
                 let far = [column, row].map(|k| self.step * k as f64);
                 let centre = plan.project([self.first[0] + far[0], self.first[1] + far[1]]);
+                // The longest arrow is 0.72 of [`ARROWS`] long, so that arrows do not touch.
                 let half = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
                 lines.add_arrow(centre, half);
             }
@@ -375,7 +381,7 @@ impl Heatmap<'_> {
         canvas.path(lines, Paint::stroke(BLACK, 1.0));
     }
 
-    /// Draws the colour bar with numbers and unit.
+    /// Draws the colour bar with numbers and unit below `top`.
     fn draw_colour_bar(&self, canvas: &mut Canvas, top: f64, (low, high): (f64, f64)) {
         let width = (0.7 * canvas.width).min(300.0);
         let left = (canvas.width - width) / 2.0;
@@ -386,9 +392,8 @@ impl Heatmap<'_> {
             Palette::Cyclic => vec![0.0, 90.0, 180.0, 270.0, 360.0],
             Palette::Sequential => linear_ticks(low, high),
         };
-        let stride = numbers.len().div_ceil(7).max(1);
         canvas.letters.size = SMALL;
-        for v in numbers.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride) {
+        for v in numbers.into_iter().filter(|v| (low..=high).contains(v)) {
             let x = left + width * (v - low) / (high - low);
             canvas.line(&[[x, top + 9.0], [x, top + 12.0]], Paint::stroke(INK, 0.8));
             canvas.text([x, top + 22.0], Anchor::Middle, tick_label(v));

@@ -47,13 +47,14 @@ pub(crate) struct RoomFigure {
 }
 
 impl RoomFigure {
-    /// Creates a frame around the scene and the Gaussians of all `clouds`, except far outliers.
+    /// Creates the background: point cloud, transmitters and receivers, in a frame that also holds the Gaussians of all `clouds`
+    /// except far outliers.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text_height: f64) -> Self {
         let (low, high) = frame_corners(data, clouds);
         let mut view = RoomView::new(low, high, text_height);
         view.origin = data.scene.origin.0;
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
-        // Many Gaussians are drawn smaller.
+        // Many Gaussians are drawn smaller, so that they do not cover the room.
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
         let mut behind = view.empty_room();
         draw_points(&mut behind, &view, data);
@@ -66,8 +67,8 @@ impl RoomFigure {
         };
         draw(&partition.train, TRAINING, VectorPath::add_plus, 1.6);
         draw(&partition.test, TEST, VectorPath::add_cross, 1.3);
-        let has_poses = data.scene.has_distances();
-        let ends = if has_poses { data.scene.fixed_ends() } else { Vec::new() };
+        // Estimated positions are not drawn.
+        let ends = if data.scene.has_distances() { data.scene.fixed_ends() } else { Vec::new() };
         let poses: Vec<Pose> = ends.into_iter().map(|pose| data.scene.origin.world_pose(pose)).collect();
         let mut receiver = None;
         if let ([pose], End::Transmitter) = (&poses[..], data.scene.moving) {
@@ -81,7 +82,7 @@ impl RoomFigure {
         Self { view, behind, receiver, radius, has_test, has_points }
     }
 
-    /// Draws the panel with the Gaussians of one snapshot.
+    /// Draws the panel with the most opaque Gaussians of one snapshot.
     pub(crate) fn draw_panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
         let n = snapshot.means.len();
         let mut shown: Vec<(RoomPoint, f64)> = scattered_order(n)
@@ -107,7 +108,7 @@ impl RoomFigure {
         Panel { title: title.into(), numbers, drawing: self.draw_gaussians(&mut shown), caption: caption.join("; ") }
     }
 
-    /// Draws the background, then Gaussians from far to near.
+    /// Draws the background, then Gaussians (position and opacity) from far to near; few of them with stems to the floor.
     fn draw_gaussians(&self, shown: &mut [(RoomPoint, f64)]) -> Canvas {
         shown.sort_by(|a, b| self.view.nearness(a.0).total_cmp(&self.view.nearness(b.0)));
         let mut canvas = self.behind.clone();
@@ -122,7 +123,7 @@ impl RoomFigure {
         canvas
     }
 
-    /// Draws a Gaussian as a circle with an area proportional to opacity.
+    /// Draws a Gaussian as a circle with an area proportional to opacity, but never too small to see.
     fn draw_gaussian(&self, canvas: &mut Canvas, at: Point, opacity: f64) {
         let paint = Paint::fill(BLUE.with_opacity(0.85)).outlined(WHITE, 0.5);
         canvas.circle(at, (self.radius * opacity.sqrt()).max(0.9), paint);
@@ -166,7 +167,7 @@ impl RoomFigure {
         symbols
     }
 
-    /// Returns a remark about a missing or thinned point cloud; empty if all its points are drawn.
+    /// Describes a missing or thinned point cloud in a sentence; empty if all points are drawn.
     pub(crate) fn note(&self, data: &Dataset) -> String {
         let count = data.scene.points.len();
         if !self.has_points {
@@ -210,9 +211,9 @@ fn chamfer_distance(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     }
 }
 
-/// Returns the corners of the frame, slightly wider than its content and never flat. It contains the scene; without a
-/// point cloud also the central 90 % of each of `clouds`, because the walls are unknown; and every Gaussian within one
-/// scene length of the scene. Gaussians farther away would make the scene too small.
+/// Returns the corners of the frame in the world frame, slightly wider than its content and never flat. It contains the
+/// scene; without a point cloud also the central 90 % of each of `clouds`, because the walls are unknown; and every
+/// Gaussian not farther from this box than its longest edge. Others would make the scene too small.
 fn frame_corners(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
     let (low, high) = data.scene.bounds;
     let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
@@ -238,7 +239,8 @@ fn frame_corners(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint)
     }
     let longest = longest_edge(low, high);
     for k in 0..3 {
-        let margin = if high[k] - low[k] < 0.1 * longest { 0.1 } else { 0.02 } * longest;
+        let share = if high[k] - low[k] < 0.1 * longest { 0.1 } else { 0.02 };
+        let margin = share * longest;
         (low[k], high[k]) = (low[k] - margin, high[k] + margin);
     }
     (low, high)
@@ -273,7 +275,7 @@ pub(super) struct ReceiverArrow {
 }
 
 impl ReceiverArrow {
-    /// Creates an arrow of this length, metres.
+    /// Creates the arrow of a receiver, `length` metres long.
     pub(super) fn new(pose: &Pose, view: &RoomView, length: f64) -> Self {
         let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
         let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
@@ -281,7 +283,7 @@ impl ReceiverArrow {
         Self { along: [to[0] - from[0], to[1] - from[1]], facing: facing_cosine(boresight) }
     }
 
-    /// Draws the arrow.
+    /// Draws the arrow, or the ring, of a receiver at `at`.
     pub(super) fn draw(self, canvas: &mut Canvas, at: Point) {
         if self.facing.abs() > HEAD_ON {
             canvas.circle(at, RADIUS, Paint::fill(WHITE).outlined(BLACK, 1.4));

@@ -24,7 +24,7 @@ pub(crate) enum ColourScale {
 }
 
 impl ColourScale {
-    /// Returns the colour of a value.
+    /// Returns the colour of a value, limited to the range.
     fn colour(self, value: f64) -> Rgb {
         match self {
             Self::Power => sequential(value),
@@ -107,7 +107,7 @@ impl Mark {
 pub(crate) fn spectrum_image(image: &Image, plane: &ImagePlane, scale: ColourScale) -> RasterImage {
     let (width, height) = (image.width, image.height);
     let upwards = plane.angles.map_or(plane.camera.is_none(), |(_, elevation)| elevation.step > 0.0);
-    let row = |row: usize| if upwards { height - 1 - row } else { row };
+    let row = |k: usize| if upwards { height - 1 - k } else { k };
     let values = (0..height).flat_map(|k| &image.pixels[row(k) * width..][..width]);
     let rgba = values.map(|value| scale.colour(*value as f64)).flat_map(|[r, g, b]| [r, g, b, 255]).collect();
     RasterImage { width, height, rgba, smooth: false }
@@ -149,12 +149,12 @@ pub(crate) fn draw_sky(image: &Image, plane: &ImagePlane, scale: ColourScale, ma
     canvas.circle(middle, SKY, Paint::stroke(INK, 0.7));
     let (ring, text) = scale.contrasting_colours();
     canvas.letters = TextStyle { size: 9.0, colour: text };
-    for elevation in [30.0, 60.0] {
-        let radius = SKY * (1.0 - elevation / 90.0);
+    for degrees in [30.0, 60.0] {
+        let radius = SKY * (1.0 - degrees / 90.0);
         canvas.circle(middle, radius, Paint::stroke(ring, 0.7));
         // At 22.5 degrees below the horizontal, between two lines.
         let beside = [cx + radius * 0.924 + 2.0, cy + radius * 0.383 + 3.0];
-        canvas.text(beside, Anchor::Start, format!("{elevation}°"));
+        canvas.text(beside, Anchor::Start, format!("{degrees}°"));
     }
     canvas.letters = TEXT;
     let sides =
@@ -219,7 +219,8 @@ pub(super) struct Ruler {
     unit: &'static str,
 }
 
-/// Returns the axes of a spectrum, azimuth first.
+/// Returns the axes of a spectrum, azimuth first; without angles, those of pixel columns and rows. Rows of a camera count
+/// from the top, as negative numbers: axes point up.
 pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
     let pixel = |step| AngleAxis { first: 0.0, step };
     let down = if plane.camera.is_some() { -1.0 } else { 1.0 };
@@ -228,7 +229,7 @@ pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
     [Ruler::new(azimuth, plane.width, unit), Ruler::new(elevation, plane.height, unit)]
 }
 
-/// Returns the names of the axes.
+/// Returns the names of the axes, the horizontal one first.
 pub(crate) fn axis_names(plane: &ImagePlane) -> [&'static str; 2] {
     if plane.angles.is_some() { ["azimuth", "elevation"] } else { ["column", "row"] }
 }
@@ -245,7 +246,7 @@ impl Ruler {
         (value - self.low) / (self.high - self.low)
     }
 
-    /// Returns the position of a pixel, from 0 to 1.
+    /// Returns the position of the centre of a pixel, from 0 to 1.
     pub(super) fn share_of_pixel(&self, pixel: f64) -> f64 {
         self.share(self.axis.first + self.axis.step * pixel)
     }
@@ -266,8 +267,8 @@ impl Ruler {
         (first..=last).map(|k| k as f64 * step).collect()
     }
 
-    /// Returns the labels of round values with positions from 0 to 1, in at most so many intervals; the ends of the
-    /// axis have priority.
+    /// Returns the labels of round values with positions from 0 to 1, with at most `intervals` between them; the first and the
+    /// last value always have one. Pixel numbers have no sign.
     fn ticks(&self, step: f64, intervals: f64) -> Vec<(String, f64)> {
         let values = self.multiples(step);
         let gaps = values.len().saturating_sub(1).max(1);
@@ -281,6 +282,7 @@ impl Ruler {
 /// Draws ticks and numbers of the azimuth below a panel of this width; those at its ends stay inside.
 pub(crate) fn draw_azimuth(canvas: &mut Canvas, plane: &ImagePlane, [left, bottom]: Point, width: f64) {
     let [across, _] = rulers(plane);
+    // A label needs 42 units.
     for (label, part) in across.ticks(90.0, (width / 42.0).floor().max(2.0)) {
         let x = left + width * part;
         canvas.line(&[[x, bottom], [x, bottom + 3.0]], Paint::stroke(INK, 0.9));
@@ -296,6 +298,7 @@ pub(crate) fn draw_azimuth(canvas: &mut Canvas, plane: &ImagePlane, [left, botto
 /// Draws ticks and numbers of the elevation left of a panel of this height.
 pub(crate) fn draw_elevation(canvas: &mut Canvas, plane: &ImagePlane, [left, top]: Point, height: f64) {
     let [_, up] = rulers(plane);
+    // A label needs 16 units.
     for (label, part) in up.ticks(30.0, (height / 16.0).floor().max(1.0)) {
         let y = top + height * (1.0 - part);
         canvas.line(&[[left - 3.0, y], [left, y]], Paint::stroke(INK, 0.9));

@@ -63,7 +63,7 @@ impl SurveyMap {
     }
 }
 
-/// Radius of a transmitter position, as a part of the side of its share of the map.
+/// Radius of a transmitter position, in sides of a square with the area of the map per position.
 const DOT: f64 = 0.3;
 /// Smallest and largest radius of a transmitter position.
 const DOT_ENDS: [f64; 2] = [1.2, 9.0];
@@ -84,7 +84,8 @@ pub struct CoverageMap {
 }
 
 impl CoverageMap {
-    /// Draws the map. Colours run from dark (weakest power) to light (strongest power).
+    /// Draws the map. Colours run from dark (weakest power) to light (strongest power); transmitters without a finite power are
+    /// omitted.
     pub fn draw(&self) -> Canvas {
         let framed = [&self.transmitters, &self.selected, &self.others].into_iter().flatten().copied();
         let plan = FloorPlan::around(framed);

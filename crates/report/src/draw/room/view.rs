@@ -36,6 +36,7 @@ pub(crate) struct RoomView {
 impl RoomView {
     /// Creates the view of the box from `low` to `high`, metres, with this text height.
     pub(crate) fn new(low: RoomPoint, high: RoomPoint, text: f64) -> Self {
+        // The bits of `k` select the low or high end of each axis.
         let corner = |k: usize| {
             parallel_projection([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] }))
         };
@@ -124,7 +125,7 @@ impl RoomView {
         }
     }
 
-    /// Draws the titles of the axes, relative to the origin of their numbers.
+    /// Draws the titles of the axes, which name the origin of their numbers unless it is 0.
     fn draw_titles(&self, canvas: &mut Canvas) {
         let (low, origin) = (self.low, self.origin);
         let middle = [0, 1, 2].map(|k| f64::midpoint(low[k], self.high[k]));
@@ -142,7 +143,7 @@ impl RoomView {
         canvas.upright_text([x - 2.5 * self.text, y], title(2));
     }
 
-    /// Draws `words` at a shift from a point, in text heights.
+    /// Draws `words` at a point, shifted to the right and down by text heights.
     fn draw_label(&self, canvas: &mut Canvas, [x, y]: Point, [dx, dy]: Point, anchor: Anchor, words: &str) {
         canvas.text([x + dx * self.text, y + dy * self.text], anchor, words);
     }
