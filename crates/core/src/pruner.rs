@@ -26,9 +26,9 @@ pub trait Pruner: crate::plugin::PluginObject {
         Needs::default()
     }
 
-    /// Returns a factor `[N]` on each Gaussian during training; several gates multiply. [`Gate`] defines its effect,
-    /// and whether closed Gaussians are skipped; `trace.into()` is a factor on opacity and scale that skips Gaussians
-    /// with factor 0. `None` without a gate.
+    /// Returns a factor `[N]` on each Gaussian in the densification and pruning phases; several gates multiply. [`Gate`] defines
+    /// its effect, and whether closed Gaussians are skipped; `trace.into()` is a factor on opacity and scale that skips
+    /// Gaussians with factor 0. `None` without a gate.
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
         None
     }
@@ -44,8 +44,9 @@ pub trait Pruner: crate::plugin::PluginObject {
         true
     }
 
-    /// Updates requested columns that are not learned (moving averages, dual variables), once after each step. A
-    /// strategy that moves Gaussians (noise on means) does so here too.
+    /// Updates requested columns that are not learned (moving averages, dual variables), after each step of the densification and
+    /// pruning phases, before [`Pruner::edit`]. [`CloudStats::requested`] is empty. A strategy that moves Gaussians (noise on
+    /// means) does so here too.
     fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {}
 
     /// Returns a new cloud at a prune step, before the calls of [`Pruner::keep`], with moved or merged Gaussians.

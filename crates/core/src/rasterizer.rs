@@ -146,7 +146,7 @@ pub struct SurveyInputs<'a> {
     /// Signals `[N, channels]` of `render`, and per pixel the derivative of the readout by its channels, `[channels,
     /// height, width]`.
     pub slopes: Option<(&'a [Real], &'a [Real])>,
-    /// Whether the products of the derivatives of the geometry are requested.
+    /// Whether [`SplatStats::fisher`] is requested; it needs `slopes`.
     pub fisher: bool,
 }
 

@@ -89,6 +89,7 @@ pub fn check_vjp(
         up[k] += h;
         down[k] -= h;
         let numeric = (along(&up) - along(&down)) / (2.0 * h);
+        // The least scale accepts rounding errors where all derivatives are 0.
         let scale = numeric.abs().max(analytic[k].abs()).max(0.01 * largest).max(1e-12);
         assert!(
             (numeric - analytic[k]).abs() <= tolerance * scale,
