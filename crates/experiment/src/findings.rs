@@ -74,8 +74,8 @@ fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     (test > training).then(|| Finding::new("split", test, problem, mend))
 }
 
-/// Finds test samples exactly at the positions of training samples, such as repeated readings; `None` for at most the share
-/// [`REPEATED`].
+/// Finds test samples exactly at the positions of training samples, such as repeated readings. `None` for at most the share
+/// [`REPEATED`], without positions, or if all training samples are at one.
 fn check_repeated(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let at = |i: &usize| (data.sample(*i).pose.coordinates().map(f64::to_bits), data.sample(*i).receiver);
     let trained: BTreeSet<_> = partition.train.iter().map(at).collect();

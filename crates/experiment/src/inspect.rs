@@ -55,7 +55,7 @@ pub struct Preview {
     pub load: Option<(f64, usize)>,
     /// Positions, values and pose of the data.
     pub summary: DataSummary,
-    /// Median distance from a test transmitter to the nearest training transmitter, metres.
+    /// Median distance from a test transmitter to the nearest training transmitter, metres; NaN if positions are unknown.
     pub test_distance: f64,
     /// Name of the GPU on which the network of the timed steps ran; `None` for the CPU.
     pub device: Option<&'static str>,
@@ -93,7 +93,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         samples: partition.sizes(),
         weights: trainer.weight_count(),
         summary: DataSummary::of(data, SUMMARISED, observer)?,
-        test_distance: test_distance(data, partition),
+        test_distance: if data.placed { test_distance(data, partition) } else { f64::NAN },
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
         step_bytes: trainer.step_bytes(),
@@ -161,8 +161,8 @@ impl DataSummary {
     }
 }
 
-/// Returns names and descriptions: extent and repeated positions of the moving end, and the steps between consecutive ids if
-/// there are any.
+/// Returns names and descriptions: extent and repeated positions of the moving end, and, if there are consecutive ids, the steps
+/// from one to the next.
 fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let mut ordered = positions.clone();
@@ -222,8 +222,8 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres; NaN without test
-/// samples.
+/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres: 0 if positions are
+/// unknown, NaN without test samples.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     let nearest = nearest_training_distances(data, &partition.train);
     median(partition.test.iter().map(|&i| nearest[i] as f64))

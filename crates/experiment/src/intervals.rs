@@ -22,7 +22,8 @@ impl ActiveRun<'_, '_> {
     /// intervals on the validation set.
     ///
     /// # Errors
-    /// Data that residuals do not support, a prediction that is not finite, or [`Error::Stopped`].
+    /// Data that residuals do not support, a prediction that is not finite, a spectrum that cannot be read, or
+    /// [`Error::Stopped`].
     pub fn calibrate_model(&mut self, model: Ensemble) -> Result<Ensemble> {
         check_residuals(self.pipeline, self.split, false)?;
         let fitted = self.fit_residuals(model, 1)?;
@@ -43,6 +44,7 @@ impl ActiveRun<'_, '_> {
         let lists = left_out_links(self.pipeline, split, count)?;
         let mut scores = LinkScores::new();
         for (index, left_out) in lists.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
+            // The members that did not train on the list, as `left_out_links` numbers them.
             let members: Vec<usize> = (index..count).step_by(lists.len()).collect();
             let known = split.partition.known().all().into_iter();
             let trained: Vec<usize> = known.filter(|link| left_out.binary_search(link).is_err()).collect();
@@ -117,6 +119,7 @@ impl ActiveRun<'_, '_> {
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let shown = factors.iter().position(|(level, _)| *level == LEVEL);
+        // In the order of the `columns` of `task.intervals`, with and without pixels.
         let columns = |interval: &MeasuredInterval| match *interval {
             MeasuredInterval { coverage, width, ssim: Some([bound, _]), .. } => vec![coverage, width, bound],
             MeasuredInterval { ends, .. } => ends.to_vec(),
@@ -141,7 +144,7 @@ impl ActiveRun<'_, '_> {
         let (data, stop) = (&self.split.data, self.session.stop);
         let score_link = |(&i, prediction): (&usize, Image)| {
             let prediction = data.task().shown(prediction);
-            let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0);
+            let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0); // equal for all without an estimate
             if !(deviation.is_finite() && prediction.pixels.iter().all(|p| p.is_finite())) {
                 let problem = "intervals: a prediction is not finite; train the model again with lower learning rates";
                 return Err(Error::Config(problem.into()));
@@ -191,7 +194,7 @@ impl MeasuredInterval {
         LevelScores { level, coverage, width, ssim }
     }
 
-    /// Compares an interval with its measurement; `score` is the SSIM of the prediction.
+    /// Compares an interval with its measurement; `score` is the SSIM of the prediction, `None` without pixels.
     fn of(interval: &Interval, truth: &Image, score: Option<f64>) -> Self {
         let Interval { lower, upper, ssim } = interval;
         let ends = || lower.pixels.iter().zip(&upper.pixels);

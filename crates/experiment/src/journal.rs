@@ -53,6 +53,7 @@ impl Journal {
             validations.iter().map(|row| (parse_step(row), VALIDATION_PREFIX, &self.validation_series.header, row));
         let mut events: Vec<_> = of_curve.chain(of_validations).collect();
         events.sort_by_key(|(step, ..)| *step);
+        // A validation has no time: that of the last row of the curve applies.
         let mut ago = 0.0;
         for (step, prefix, header, row) in events {
             if prefix.is_empty() {
@@ -92,7 +93,7 @@ impl Journal {
         })
     }
 
-    /// Records the mean of each metric on the test set at the last step, for TensorBoard.
+    /// Records the mean of each metric of the model on the test set, at the last step, for TensorBoard.
     pub(crate) fn record_scores(&mut self, scores: &ScoreTable) -> Result<()> {
         let mean = |row: &crate::scores::MetricRow| {
             let value = row.cells.first()?.numbers().first().copied()?;

@@ -35,7 +35,8 @@ impl<'a, 's> ActiveRun<'a, 's> {
     }
 }
 
-/// Loads the data of a pipeline with absolute paths, splits and checks them.
+/// Loads the data of a pipeline with absolute paths, splits and checks them. Receivers of unknown position get an estimate from
+/// the training set.
 ///
 /// # Errors
 /// Invalid data, a split without training or test samples, or findings that make results meaningless and that the pipeline
@@ -44,8 +45,8 @@ pub fn load_split_data(pipeline: &Pipeline, observer: &mut dyn Observer) -> Resu
     load_with_findings(pipeline, Some(&pipeline.accept), observer).map(|(split, _)| split)
 }
 
-/// Loads, splits and checks the data as [`load_split_data`] does, also with the findings on them. `accepted` are the names of
-/// accepted findings; `None` accepts all, for data of a run that has begun.
+/// Loads the data as [`load_split_data`] does, and also returns the findings on them. `accepted` are the names of accepted
+/// findings; `None` accepts all, for data of a run that has begun.
 ///
 /// # Errors
 /// As [`load_split_data`].

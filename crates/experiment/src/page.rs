@@ -1,4 +1,4 @@
-//! Report of a run, created from its folder at the end of a run or by `pwrfgs report`.
+//! Results and report of a run: written at its end; `pwrfgs report` recreates the report from the folder.
 
 use crate::evaluate::EvaluationResult;
 use crate::facts::{Facts, FileDigest, utc_now};
@@ -32,7 +32,7 @@ impl ActiveRun<'_, '_> {
     /// `report.html` if the session has a `page`.
     ///
     /// # Errors
-    /// A damaged training file; [`Error::Write`].
+    /// A damaged training file; [`Error::Write`]; errors of the `page`.
     pub fn write_results(
         &self,
         folder: &Path,
@@ -52,11 +52,11 @@ impl ActiveRun<'_, '_> {
     }
 
     /// Concludes the run in `folder`: writes the scores, the report if the session has a `page`, the checksums and
-    /// `run.json`, and removes the checkpoint unless the session keeps it. Returns the summary of the scores, which the
-    /// observer also gets.
+    /// `run.json`, and removes the partial scores, and the checkpoint unless the session keeps it. Returns the summary of the
+    /// scores, which the observer also gets.
     ///
     /// # Errors
-    /// [`Error::Write`]; a damaged training file.
+    /// As [`Self::write_results`]; a file that cannot be read.
     pub(crate) fn conclude(
         &mut self,
         folder: &RunFolder,
@@ -109,7 +109,8 @@ pub fn with_run<T>(
 /// Recreates `report.html` of the finished run in `folder` from its folder and data.
 ///
 /// # Errors
-/// The run has not finished, another process uses it, a file is damaged, or the data have changed.
+/// The run has not finished, another process uses it, a file is damaged or cannot be written, or the data have changed; errors
+/// of `page`.
 pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observer) -> Result<()> {
     let run_folder = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
     let mut rebuild = || {

@@ -159,7 +159,7 @@ pub fn is_rate_ratio(key: &str) -> bool {
     key.starts_with("eta_")
 }
 
-/// Formats a difference with four decimals and its sign; values rounded to 0 have no sign.
+/// Formats a difference, not NaN, with its sign and four decimals, or more for a small one. Values rounded to 0 have no sign.
 pub fn signed(value: f64) -> String {
     let text = fixed(value, DECIMALS);
     let is_zero = text.bytes().all(|b| matches!(b, b'0' | b'.'));

@@ -42,7 +42,7 @@ impl PartialScores {
         let mut scores = Self { request, ..Self::default() };
         let mut length = 0;
         for line in text.split_inclusive('\n') {
-            let Some((part, result)) = scores.verify(line) else { break };
+            let Some((part, result)) = scores.parse_line(line) else { break };
             scores.known.insert(part.into(), result.into());
             length += line.len() as u64;
         }
@@ -51,7 +51,7 @@ impl PartialScores {
     }
 
     /// Returns part and result of a line of the file; `None` if it is incomplete or of another request.
-    fn verify<'l>(&self, line: &'l str) -> Option<(&'l str, &'l str)> {
+    fn parse_line<'l>(&self, line: &'l str) -> Option<(&'l str, &'l str)> {
         let (seal, entry) = line.strip_suffix('\n')?.split_once(' ')?;
         entry.split_once('\t').filter(|_| seal == self.seal(entry))
     }

@@ -125,10 +125,10 @@ impl<'a> PairComparison<'a> {
         Self { data, plane: data.plane(), metrics, stop }
     }
 
-    /// Measures the agreement of the closest pairs of one `lag`; with `bins`, also of some pairs of every range of
+    /// Measures the agreement of the closest pairs of one `lag`; if `has_bins`, also of some pairs of every range of
     /// distances.
-    fn measure(&self, lag: PairLag, bins: bool) -> Result<PairSimilarity> {
-        let selected = SelectedPairs::select(self.data, lag, bins);
+    fn measure(&self, lag: PairLag, has_bins: bool) -> Result<PairSimilarity> {
+        let selected = SelectedPairs::select(self.data, lag, has_bins);
         let scored = self.score_pairs(&selected.pairs)?;
         let metrics = scored.into_iter().map(|metric| selected.summarise(metric, lag, self.data.task())).collect();
         let reach_m = selected.closest().last().map_or(0.0, |pair| pair.distance);
@@ -185,13 +185,13 @@ struct SelectedPairs {
 }
 
 impl SelectedPairs {
-    /// Selects pairs of one `lag`; those of ranges of distances only with `bins`.
-    fn select(data: &Dataset, lag: PairLag, bins: bool) -> Self {
+    /// Selects pairs of one `lag`; those of ranges of distances only if `has_bins`.
+    fn select(data: &Dataset, lag: PairLag, has_bins: bool) -> Self {
         let candidates = pairs::find_pairs(data, lag);
         let mut pairs = select_closest(&candidates);
         let closest = pairs.len();
         let mut ranges = Vec::new();
-        for (ends, range) in pairs::distance_bins(&candidates).into_iter().filter(|_| bins) {
+        for (ends, range) in pairs::distance_bins(&candidates).into_iter().filter(|_| has_bins) {
             let first = pairs.len();
             pairs.extend(evenly(&candidates[range], BIN_PAIRS));
             ranges.push((ends, first..pairs.len()));
@@ -227,7 +227,7 @@ impl SelectedPairs {
     }
 }
 
-/// Returns the scores of a perfect predictor of the mean reading, given `values` between two readings.
+/// Returns the scores of a perfect predictor of the mean reading, given the scores `values` between two readings.
 fn ceiling_scores(task: Task, values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| task.ceiling.share * v).collect()
 }
@@ -279,8 +279,8 @@ impl<'a> CeilingEstimator<'a> {
         Self { comparison: PairComparison::new(data, metrics, stop), measured: Vec::new() }
     }
 
-    /// Estimates the noise ceiling of the test set of `partition` by every metric; if the data have too few pairs, it has no
-    /// metrics, and a note gives the reason.
+    /// Estimates the noise ceiling of the test set of `partition` by every metric, from pairs near or far apart in time, or from
+    /// any pairs if these are too few. If all are too few, it has no metrics, and a note gives the reason.
     ///
     /// # Errors
     /// Same as [`crate::measure_repeatability`].

@@ -70,15 +70,15 @@ fn label_blocks(pipeline: &Pipeline, SplitData { data, .. }: &SplitData, links: 
 
 impl ActiveRun<'_, '_> {
     /// Fits residual processes of the trained ensemble to all known links, if the pipeline selects them and it has
-    /// none. `folds` is the number of members of a joined sweep, 1 for a model of one run.
+    /// none. `models` is the number of models that the run or the joined sweep trained.
     ///
     /// # Errors
-    /// As [`Residuals::fit`].
-    pub(crate) fn fit_residuals(&mut self, ensemble: Ensemble, folds: usize) -> Result<Ensemble> {
+    /// A model left out a test sample; otherwise as [`Residuals::fit`].
+    pub(crate) fn fit_residuals(&mut self, ensemble: Ensemble, models: usize) -> Result<Ensemble> {
         let (Some(settings), None) = (&self.pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
         let links = self.split.partition.known().all();
         let mut left_out = vec![None; links.len()];
-        let lists = left_out_links(self.pipeline, self.split, folds)?;
+        let lists = left_out_links(self.pipeline, self.split, models)?;
         for (part, list) in lists.iter().enumerate() {
             for link in list {
                 let Ok(k) = links.binary_search(link) else {

@@ -89,9 +89,9 @@ impl RunFolder {
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Writes `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`, and
-    /// returns its facts. Then replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on
-    /// the run counts as unfinished, since earlier checksums and baselines may become invalid.
+    /// Writes `run.json` for another start on the data, with the findings and members of `new`, and returns its facts. Then
+    /// replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as
+    /// unfinished, since earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///

@@ -140,7 +140,7 @@ fn start_or_resume(pipeline: &Pipeline, out: &Path, session: &mut Session<'_>) -
 /// Checks that a run of `pipeline` can resume in the claimed `folder`, which messages call `out`.
 ///
 /// # Errors
-/// The joined model of a sweep, or a damaged model file.
+/// The joined model of a sweep, or a damaged `run.json` or model file.
 fn check_resumable(folder: &RunFolder, pipeline: &Pipeline, out: &Path) -> Result<()> {
     let facts = Facts::read(folder.path())?.unwrap_or_default();
     if pipeline.members == 1 && !facts.members.is_empty() {
@@ -152,8 +152,8 @@ fn check_resumable(folder: &RunFolder, pipeline: &Pipeline, out: &Path) -> Resul
     Ok(())
 }
 
-/// States the step with the best validation in `rows`, the rows of `validation.csv`; `None` unless it was better than the last
-/// by more than a hundredth.
+/// Describes the step with the best validation in `rows`, the rows of `validation.csv`; `None` unless its value differs from the
+/// last by more than a hundredth.
 fn best_step_note(rows: &[Vec<Option<f64>>], training: &Training, task: Task) -> Option<String> {
     let values = series_column(rows, VALIDATION_MEAN);
     let (_, end) = *values.last()?;

@@ -1,4 +1,5 @@
-//! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
+//! Samples of a data set: key of data and split, and `samples.csv` (position and set of each sample, distance to the nearest
+//! training transmitter).
 
 use crate::text::{csv_field, read_csv_rows};
 use pwrfgs_core::neighbours::{Nearest, nearest_others};

@@ -14,7 +14,7 @@ use std::str::FromStr;
 
 /// Name of the noise ceiling in every table; it is not ranked.
 pub const CEILING: &str = "ceiling (repeatability)";
-/// Level of the intervals in `samples.csv` and in notes, which print it as 90 %.
+/// Level of the intervals in `samples.csv` and in notes, which print it as 90 %; it needs 9 blocks for calibration.
 pub(crate) const LEVEL: f64 = 0.9;
 /// Name of the trained model in every table.
 pub const MODEL: &str = "model";
@@ -219,7 +219,8 @@ impl Scores {
     }
 
     /// Computes paired differences between the model and each baseline, by the metrics that [`is_compared`] selects;
-    /// `positions` are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
+    /// `positions` are those of the test transmitters, metres, by label. `None` if there is no baseline, no such metric, or no
+    /// finite difference.
     pub(crate) fn paired_differences(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
         let blocks = Blocks::new(positions);
         let (_, measurements) = self.predictors.first()?;

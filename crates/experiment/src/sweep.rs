@@ -78,12 +78,13 @@ pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
     pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
 }
 
-/// Performs the run `index` of the plan and stores the reason if it fails. A panic of the run becomes an error.
-fn perform_run(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Result<RunOutcome> {
+/// Performs the run `index` of the plan on `pool`, and stores the reason if it fails, unless another process uses the folder. A
+/// panic of the run becomes an error.
+fn perform_run(plan: &SweepPlan, index: usize, pool: &ThreadPool, session: &mut Session<'_>) -> Result<RunOutcome> {
     let (folder, pipeline) = (plan.run_folder(index), &plan.runs[index].pipeline);
     plan.remove_failure(index);
     // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
-    let work = || run(pipeline, Path::new(""), &folder, session);
+    let work = || pool.install(|| run(pipeline, Path::new(""), &folder, session));
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| Err(panic_error(panic)));
     // Another process may have claimed it meanwhile.
     if let Err(error) = &outcome
@@ -95,8 +96,8 @@ fn perform_run(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Res
     outcome
 }
 
-/// Converts the payload of a panic to an error: that of a plugin, which unwinds with an error from methods that cannot return
-/// one, or the message of the panic.
+/// Converts the payload of a panic to an error. A plugin panics with an error in methods that cannot return one; otherwise, the
+/// error has the message of the panic.
 fn panic_error(panic: Box<dyn Any + Send>) -> Error {
     let panic = match panic.downcast::<Error>() {
         Ok(error) => return *error,
@@ -159,7 +160,7 @@ impl SweepPlan {
                         } else {
                             let mut observer = board.on_run_start(run);
                             let mut session = Session { observer: &mut *observer, stop, page, keep_checkpoint };
-                            pool.install(|| perform_run(self, run, &mut session))
+                            perform_run(self, run, pool, &mut session)
                         };
                         board.on_run_end(run, &end);
                         ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));

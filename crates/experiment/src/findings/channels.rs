@@ -94,13 +94,15 @@ pub(crate) struct PhaseCheck {
     count: usize,
     /// For the sign of time exp(−jkd), and for the other.
     fits: [Coherence; 2],
-    /// Median distance from a position to the nearest other, metres and wavelengths.
-    step: [f64; 2],
+    /// Median distance from a position to the nearest other, metres.
+    step_m: f64,
+    /// The same distance in wavelengths of the carrier.
+    step_wavelengths: f64,
 }
 
 impl PhaseCheck {
-    /// Compares evenly chosen snapshots, with about [`MOST_GAINS`] gains in all at most. `None` for other observations, unknown
-    /// positions, links with features, gains without phase, or fewer than [`FEWEST`] received snapshots.
+    /// Compares the received snapshots; of more than [`MOST_GAINS`] gains in all, evenly chosen ones, at least [`FEWEST`]. `None`
+    /// for other observations, unknown positions, links with features, gains without phase, or fewer received snapshots.
     pub(crate) fn of(data: &Dataset) -> Option<Self> {
         let Observations::Channels(channels) = &data.observations else { return None };
         let is_known = data.placed && data.features.is_none() && data.scene.has_distances();
@@ -118,13 +120,14 @@ impl PhaseCheck {
         let positions: Vec<[f64; 3]> = snapshots.iter().map(|snapshot| snapshot.position).collect();
         let nearest: Vec<(f64, usize)> =
             nearest_others(&positions).into_iter().map(Option::unwrap_or_default).collect();
-        let step = median(nearest.iter().map(|(distance, _)| *distance));
+        let step_m = median(nearest.iter().map(|(distance, _)| *distance));
         let fits = Coherence::of(&snapshots, &hz, &nearest);
         let carrier_hz = hz.iter().sum::<f64>() / hz.len() as f64;
-        Some(Self { count: links.len(), fits, step: [step, step * carrier_hz / SPEED_OF_LIGHT] })
+        Some(Self { count: links.len(), fits, step_m, step_wavelengths: step_m * carrier_hz / SPEED_OF_LIGHT })
     }
 
-    /// Returns the sign of time that fits clearly: 0 for that of this program, 1 for the other; `None` if undecided.
+    /// Returns the index in `fits` of the sign of time that fits clearly: 0 for that of this program, 1 for the conjugate. `None`
+    /// if undecided.
     fn sign(&self) -> Option<usize> {
         let is_coherent = |fit: Coherence| fit.all > ABOVE_RANDOM[0] / self.count as f64;
         (0..2).find(|k| is_coherent(self.fits[*k]) && self.fits[*k].all > BETTER * self.fits[1 - k].all)
@@ -147,7 +150,8 @@ impl PhaseCheck {
             return Some(Finding::new("conjugate", self.count, problem, "save numpy.conj of the channels"));
         }
         let (high, low) = (plain.within.max(conjugate.within), plain.within.min(conjugate.within));
-        let is_decided = self.step[1] < NEAR || high > VISIBLE[0] && high > VISIBLE[1] * low;
+        // Phases of distant positions differ in any case, unless the direct path is visible.
+        let is_decided = self.step_wavelengths < NEAR || high > VISIBLE[0] && high > VISIBLE[1] * low;
         let problem =
             "the phases of neighbouring positions are not coherent, as of a chip that does not synchronise snapshots";
         let mend = format!("{POWERS}; if the snapshots are synchronised, check positions, antennas and carrier");
@@ -166,7 +170,7 @@ impl PhaseCheck {
             None => "the sign of time is undecided".into(),
         };
         let [all, other] = self.fits.map(|fit| 100.0 * fit.all);
-        let (near, step) = (self.fits[best].near, format_length(self.step[0]));
+        let (near, step) = (self.fits[best].near, format_length(self.step_m));
         let share = format!("the direct path has {all:.0} % of the power, {other:.0} % in the conjugate");
         format!("{verdict}: {share}; coherence {near:.2} between nearest positions (median {step})")
     }
@@ -186,17 +190,17 @@ impl<'a> Snapshot<'a> {
     /// Creates the snapshot of link `i`, which is at the first receiver.
     fn of(data: &Dataset, channels: &'a Channels, i: usize) -> Self {
         let [transmitter, receiver] = data.link_ends(i);
-        let far = |antenna: &[f64; 3]| {
+        let distance_to = |antenna: &[f64; 3]| {
             let from = DVec3::from_array(receiver.position) + DVec3::from_array(receiver.turned(*antenna));
             from.distance(DVec3::from_array(transmitter.position))
         };
         let (position, gains) = (data.sample(i).position(), channels.of(i));
         let size = gains.iter().map(|gain| vector(gain).length_squared()).sum::<f64>().sqrt();
-        Self { position, gains, size, distances: data.scene.receivers[0].antennas.iter().map(far).collect() }
+        Self { position, gains, size, distances: data.scene.receivers[0].antennas.iter().map(distance_to).collect() }
     }
 
-    /// Returns the gains of unit energy `[A,F]` after removal of the delay of the direct path, by both signs of time.
-    fn turned<'b>(&'b self, hz: &'b [f64]) -> impl Iterator<Item = [DVec2; 2]> + 'b {
+    /// Returns the gains `[A,F]`, scaled to unit energy, after removal of the delay of the direct path, by both signs of time.
+    fn aligned_gains<'b>(&'b self, hz: &'b [f64]) -> impl Iterator<Item = [DVec2; 2]> + 'b {
         let phase = |i: usize| TAU * hz[i % hz.len()] * self.distances[i / hz.len()] / SPEED_OF_LIGHT;
         self.gains.iter().enumerate().map(move |(i, gain)| {
             let (wave, gain) = (DVec2::from_angle(phase(i)), vector(gain) / self.size);
@@ -216,14 +220,16 @@ fn conjugate(v: DVec2) -> DVec2 {
 }
 
 impl Coherence {
-    /// Computes the coherence of the snapshots by both signs of time, each also with the `nearest` other.
+    /// Computes the coherence of the snapshots by both signs of time. `nearest` holds distance and index of the nearest other
+    /// of each; `hz` the frequencies `[F]`.
     fn of(snapshots: &[Snapshot<'_>], hz: &[f64], nearest: &[(f64, usize)]) -> [Self; 2] {
         let (count, width) = (snapshots.len() as f64, snapshots[0].gains.len());
         let mut totals = vec![[DVec2::ZERO; 2]; width];
         let (mut within, mut near) = ([0.0; 2], [DVec2::ZERO; 2]);
         for (snapshot, (_, other)) in snapshots.iter().zip(nearest) {
             let (mut sums, mut products) = ([DVec2::ZERO; 2], [DVec2::ZERO; 2]);
-            for (total, (a, b)) in totals.iter_mut().zip(snapshot.turned(hz).zip(snapshots[*other].turned(hz))) {
+            let pairs = snapshot.aligned_gains(hz).zip(snapshots[*other].aligned_gains(hz));
+            for (total, (a, b)) in totals.iter_mut().zip(pairs) {
                 for sign in 0..2 {
                     total[sign] += a[sign];
                     sums[sign] += a[sign];

@@ -35,12 +35,12 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// Creates a finding that `count` transmitters, links or points show, a warning.
+    /// Creates a finding that `count` transmitters, links or points show. Its `name` decides whether it is an error.
     pub(super) fn new(name: &str, count: usize, problem: impl Into<String>, mend: impl Into<String>) -> Self {
         Self { name: name.into(), count, problem: problem.into(), mend: mend.into() }
     }
 
-    /// Creates the finding that new data are far from a model.
+    /// Creates the finding that new data, of `count` links, are far from a model.
     pub fn far_from_model(count: usize, problem: impl Into<String>) -> Self {
         let mend = "check the order, units, axes and poses of the data; accept it if the room has changed";
         Self::new(FAR, count, problem, mend)
@@ -53,6 +53,7 @@ impl Finding {
 }
 
 impl Display for Finding {
+    /// Writes name, problem and correction: `axes: the level of the links ..; exchange x and y`.
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let Self { name, problem, mend, .. } = self;
         write!(f, "{name}: {problem}; {mend}")

@@ -101,8 +101,8 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         median_degrees(directions.iter().map(|d| angle(middle, *d)))
     };
     let (turned, rotation, correction) = best_correction(&pairs, moves.then_some(&sightings));
-    let fits = rotation.inverse();
-    let orientation = if moves { fits } else { (sightings[0].recorded * fits).normalize() };
+    let factor = rotation.inverse();
+    let orientation = if moves { factor } else { (sightings[0].recorded * factor).normalize() };
     let mut check = PoseCheck {
         pairs: pairs.len(),
         recorded: median_angle(&pairs, DQuat::IDENTITY),
@@ -154,9 +154,9 @@ fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (
 /// no angles.
 fn score_flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> {
     let Some((azimuth, elevation)) = plane.angles else { return Vec::new() };
-    // The last pixel takes the position of the first.
-    let ends = |axis: AngleAxis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
-    let (across, up) = (ends(azimuth, plane.width), ends(elevation, plane.height));
+    // A flip exchanges first and last pixel: it maps an angle to the sum of theirs minus the angle.
+    let sum = |axis: AngleAxis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
+    let (across, up) = (sum(azimuth, plane.width), sum(elevation, plane.height));
     let mirrored = |d: DVec3, is_rows: bool| {
         let (a, e) = (d.y.atan2(d.x), d.z.atan2(d.x.hypot(d.y)));
         let (a, e) = if is_rows { (a, up - e) } else { (across - a, e) };
@@ -204,6 +204,8 @@ const AS_GOOD: f64 = 1.15;
 pub(super) const FOLLOWS: f64 = 0.6;
 /// Ratio of angles below which another meaning of the data fits much better.
 pub(super) const MUCH_BETTER: f64 = 0.5;
+/// Largest ratio of the angle by another reading to that after the best rotation for which the reading explains the pose.
+const EXPLAINS: f64 = 1.5;
 /// Angle above which the strongest direction is not the line of sight, degrees.
 const WIDE_DEG: f64 = 20.0;
 /// Correction of the orientations of a moving receiver.
@@ -334,14 +336,15 @@ impl PoseCheck {
         Some(Finding::new(name, *pairs, problem, mend))
     }
 
-    /// Returns the interpretation of the recorded numbers that fits best, with its angle in degrees; `None` unless that
-    /// is below half the recorded angle and below 1.5 times the angle after the best rotation.
+    /// Returns the interpretation of the recorded numbers that fits best, with its angle in degrees; `None` unless it fits much
+    /// better than the recorded pose and about as well as the best rotation.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
-        let limit = (MUCH_BETTER * self.recorded).min(1.5 * self.turned);
+        let limit = (MUCH_BETTER * self.recorded).min(EXPLAINS * self.turned);
         self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 
-    /// Returns the best flip and its angle in degrees; `None` if it does not fit much better than any rotation.
+    /// Returns the best flip and its angle in degrees; `None` unless it fits much better than any rotation, and the strongest
+    /// direction then follows the line of sight.
     fn best_flip(&self) -> Option<&(Flip, f64)> {
         let limit = (MUCH_BETTER * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
         self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1))

@@ -50,8 +50,8 @@ pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
     check_index(data, &positions).into_iter().chain(unit).collect()
 }
 
-/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged; `None` if one is near
-/// or positions are unknown.
+/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged; `None` if one is near,
+/// or if their positions are unknown.
 fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let fixed = data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position);
     let apart = fixed.flat_map(|end| positions.iter().map(move |at| distance(end, *at))).fold(f64::INFINITY, f64::min);
@@ -86,8 +86,8 @@ fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     Some(Finding::new("index-coordinate", positions.len(), problem, "give x, y and z in metres"))
 }
 
-/// Returns whether the `steps` of a coordinate change their sign often and vary, relative to `step`, that of a coordinate that
-/// rises evenly.
+/// Returns whether a coordinate with these `steps` turns back often and in steps of varying length, compared with `step`, the
+/// mean step of a coordinate that rises evenly.
 fn is_to_and_fro(steps: &[f64], step: f64) -> bool {
     let turns = steps.windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
     TURNS * turns > steps.len() + 1 && deviation(steps) > UNEVEN * step
@@ -102,10 +102,11 @@ fn check_unit(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
         let problem = format!("{problem} (for example transmitter {id} at {:?})", round(positions[0]));
         Some(Finding::new(name, positions.len(), problem, mend))
     };
-    let flat = (high[0] - low[0]).max(high[1] - low[1]);
+    let horizontal = (high[0] - low[0]).max(high[1] - low[1]);
     let is_angle = low[0].abs().max(high[0].abs()) <= 180.0 && low[1].abs().max(high[1].abs()) <= 180.0;
-    let flat_spacing = median_spacing(&positions.iter().map(|p| [p[0], p[1], 0.0]).collect::<Vec<_>>());
-    if is_angle && flat < SITE_DEG && flat_spacing < SPACING_DEG && low[0].hypot(low[1]) > OFFSET * flat && flat > 0.0 {
+    let horizontal_spacing = median_spacing(&positions.iter().map(|p| [p[0], p[1], 0.0]).collect::<Vec<_>>());
+    let is_site = horizontal > 0.0 && horizontal < SITE_DEG && horizontal_spacing < SPACING_DEG;
+    if is_angle && is_site && low[0].hypot(low[1]) > OFFSET * horizontal {
         let problem = format!("x and y look like degrees: x {} to {}, y {} to {}", low[0], high[0], low[1], high[1]);
         let mend = "convert latitude and longitude to metres (`--lat-lon` of `pwrfgs import --table`)";
         return finding("position-unit", problem, mend);

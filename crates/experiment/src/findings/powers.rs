@@ -87,12 +87,13 @@ fn shared_finding(data: &Dataset, shared: Vec<LoneValue>) -> Option<Finding> {
     Some(Finding::new("shared-power", count, problem, mend))
 }
 
-/// Finds powers that are probably not in dBm, and the conversions to dBm; `None` if dBm are plausible.
+/// Finds powers that are probably not in dBm, and the conversions to dBm; `None` if dBm are plausible. `readings` are the powers
+/// without codes.
 fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
     let units = PowerUnit::guess(readings);
     let first = data.observations.powers()?.iter().position(|value| readings.first() == Some(value))?;
     // Only dBm without their sign rise with the distance.
-    let slope = LevelLinks::of(data).map_or(0.0, |links| links.recorded().1);
+    let slope = LevelLinks::of(data).map_or(0.0, |links| links.fit_recorded().1);
     let fits = |unit: &&PowerUnit| slope == 0.0 || (**unit == PowerUnit::PositiveDbm) == (slope > 0.0);
     let may_lack_sign = units.contains(&PowerUnit::PositiveDbm);
     let units = units.iter().filter(|unit| !may_lack_sign || fits(unit));

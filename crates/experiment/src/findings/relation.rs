@@ -86,14 +86,14 @@ impl LevelLinks {
         })
     }
 
-    /// Returns the share of the variance at each fixed end that a common slope over the logarithm of the distance explains, and
-    /// that slope, dB per decade.
-    pub(super) fn recorded(&self) -> (f64, f64) {
+    /// Fits the levels over the logarithm of the recorded distance: a mean per fixed end, and a common slope. Returns the share
+    /// of the variance about the means that the slope explains, and the slope, dB per decade.
+    pub(super) fn fit_recorded(&self) -> (f64, f64) {
         self.fit(&|_| true, &|location| self.locations[location], &|end| self.fixed[end])
     }
 
-    /// Fits the levels of the links at the fixed ends that are `used` over the distance between `location` and `fixed`, as
-    /// [`Self::recorded`]; zeros if distances or levels do not vary.
+    /// Fits the levels of the links at the fixed ends that are `used` as [`Self::fit_recorded`] does, over the distance between
+    /// the positions `location` and `fixed`; zeros if distances or levels do not vary.
     fn fit(
         &self,
         used: &dyn Fn(usize) -> bool,
@@ -120,7 +120,7 @@ impl LevelLinks {
     }
 
     /// Returns the share of the variance that a falling line explains.
-    fn falling(&self, location: &dyn Fn(usize) -> Position, fixed: &dyn Fn(usize) -> Position) -> f64 {
+    fn explained_share(&self, location: &dyn Fn(usize) -> Position, fixed: &dyn Fn(usize) -> Position) -> f64 {
         falling_share(self.fit(&|_| true, location, fixed))
     }
 
@@ -164,13 +164,13 @@ fn falling_share((share, slope): (f64, f64)) -> f64 {
 pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let links = LevelLinks::of(data).filter(|_| data.locations.len() >= *LOCATIONS.start())?;
     let (location, fixed) = (|at: usize| links.locations[at], |end: usize| links.fixed[end]);
-    let recorded = links.falling(&location, &fixed);
+    let recorded = links.explained_share(&location, &fixed);
     let by_meaning = MEANINGS.map(|Meaning { finding, words, mend, position }| {
-        let share = links.falling(&|at| position(location(at)), &fixed);
+        let share = links.explained_share(&|at| position(location(at)), &fixed);
         (share, finding, format!("positions of the transmitters {words}"), mend.to_owned())
     });
     let last = links.locations.len() - 1;
-    let reversed = links.falling(&|at| location(last - at), &fixed);
+    let reversed = links.explained_share(&|at| location(last - at), &fixed);
     let rows =
         (reversed, "row-order", "the rows in reverse order".to_owned(), "reverse the rows of one file".to_owned());
     let count = links.fixed.len();
@@ -178,7 +178,8 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let by_order = orders.into_iter().filter(|order: &Vec<usize>| order.len() == count && count > 1).map(|order| {
         let names: Vec<&str> = order.iter().map(|slot| data.scene.receivers[*slot].name.as_str()).take(NAMED).collect();
         let words = format!("the columns of the receivers in the order {}", names.join(", "));
-        (links.falling(&location, &|end| fixed(order[end])), "receiver-order", words, "correct the header".to_owned())
+        let share = links.explained_share(&location, &|end| fixed(order[end]));
+        (share, "receiver-order", words, "correct the header".to_owned())
     });
     let alternatives = by_meaning.into_iter().chain([rows]).chain(by_order);
     let best = alternatives.reduce(|best, other| if other.0 > best.0 { other } else { best });

@@ -50,6 +50,7 @@ impl Preview {
             || format!("{models}, one after another, each without a part of the known samples; the time is of all");
         rows.extend((models > 1).then(|| ("models", each())));
         rows.extend(self.device.map(|name| ("device", format!("network on {name}"))));
+        // After the first row, `data`.
         rows.splice(1..1, self.summary.facts.iter().cloned().chain(pose));
         rows.extend(self.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
         align_columns(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)

@@ -16,9 +16,9 @@ const LEAST: usize = 20;
 /// Number of neighbours among which one at another position is sought.
 const SEARCHED: usize = 16;
 
-/// Returns name and description of the difference of observations of one receiver at neighbouring positions. For received powers
-/// it has the mean absolute error of a perfect map, from which both observations of a pair deviate. `None` without positions
-/// or with few pairs.
+/// Returns name and description of the difference of observations of one receiver at neighbouring positions. For received
+/// powers, it also gives the mean absolute error of a perfect map: less than the difference, since both observations of a pair
+/// deviate from the map. `None` without positions or with few pairs.
 ///
 /// # Errors
 /// If an observation cannot be read.
@@ -46,8 +46,8 @@ pub(super) fn describe_floor(data: &Dataset) -> Result<Option<(&'static str, Str
     Ok(Some(("floor", text)))
 }
 
-/// Compares observations of one receiver at neighbouring positions. Returns the distance in metres and the score of each pair,
-/// one observation as a prediction of the other.
+/// Compares observations of one receiver at neighbouring positions, for evenly chosen links: about [`NUMBERS`] or [`PAIRS`] in
+/// all. Returns distance in metres and score of each pair, one observation as a prediction of the other.
 fn score_neighbours(data: &Dataset) -> Vec<(f64, f64)> {
     let task = data.task();
     let position = |i: usize| data.sample(i).position();

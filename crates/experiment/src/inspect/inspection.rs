@@ -52,7 +52,7 @@ pub struct SplitScores {
     pub train: usize,
     /// Number of test samples.
     pub test: usize,
-    /// Median distance of test transmitters to the nearest training transmitter, metres.
+    /// Median distance of test transmitters to the nearest training transmitter, metres; NaN if positions are unknown.
     pub nearest_m: f64,
     /// Mean score of each baseline; NaN if the metric does not apply.
     pub means: Vec<f64>,
@@ -70,10 +70,11 @@ struct SplitScorer<'a> {
 }
 
 impl Inspection {
-    /// Inspects `data` with split, baselines, metrics and seed of `pipeline`.
+    /// Inspects `data` with split, baselines, first metric of predictions, and seed of `pipeline`.
     ///
     /// # Errors
-    /// If a baseline or a metric does not support the data, or a spectrum cannot be read.
+    /// If a baseline or the metric does not support the data, or a spectrum cannot be read;
+    /// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
     pub fn of(pipeline: &Pipeline, data: &Dataset, session: &mut Session<'_>) -> Result<Self> {
         let summary = DataSummary::of(data, INSPECTED, session.observer)?;
         let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
@@ -143,14 +144,14 @@ impl Inspection {
             name,
             train: partition.train.len(),
             test: partition.test.len(),
-            nearest_m: test_distance(data, &partition),
+            nearest_m: if data.placed { test_distance(data, &partition) } else { f64::NAN },
             means,
             ceiling: ceiling.metrics.first().map_or(f64::NAN, |(_, at_zero)| at_zero.summary.mean),
         });
         Ok(())
     }
 
-    /// Formats the properties as lines, then one line per split.
+    /// Formats the properties as lines, then a table with one line per split, and the refused splits.
     pub fn to_text(&self) -> String {
         let mut text = format!("{}\n\n", self.title);
         self.facts.iter().for_each(|(name, words)| text += &format_entry(name, words));

@@ -133,8 +133,8 @@ fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<It
     (0..count).map(move |_| draw_pair()).filter(|pair| pair.earlier != pair.later)
 }
 
-/// Returns whether successive samples of one receiver, that with the most, are less than half as far apart as unrelated ones,
-/// by the median: samples of a walk or scan are in order of time.
+/// Returns whether samples are in order of time, as those of a walk or scan: successive ones, at the receiver with the most,
+/// are less than half as far apart as unrelated ones, by the median.
 pub fn is_in_time_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
     let links = data.group_by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();

@@ -72,7 +72,7 @@ impl<'a> VariantFamily<'a> {
 }
 
 /// Returns the label without numbers and their symbols, and without axes that are a word and a number: `masks` for
-/// `masks, target 24` and for `masks λ = 0.02`. If nothing remains, `by` and the first word, unless that is a number.
+/// `masks, target 24` and for `masks λ = 0.02`. If nothing remains, `by` and the first word; empty if that is a number.
 fn family_name(label: &str) -> String {
     let is_number = |word: &str| word.rsplit(['=', ':']).next().is_some_and(|value| value.parse::<f64>().is_ok());
     let is_symbol = |word: &str| word.chars().count() == 1;

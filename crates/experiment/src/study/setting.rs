@@ -53,14 +53,14 @@ impl Setting {
         Some(Spread::of(&values)?.mean)
     }
 
-    /// Finds the first variant before index `k` whose models are identical, seed by seed: the difference in settings
-    /// has no effect. `None` without such a variant, or if `run.json` lacks the checksum of a model.
+    /// Finds the first variant before variant `k` with the same models, seed by seed: the difference in settings has no
+    /// effect. `None` without such a variant, or if `run.json` lacks the checksum of a model.
     pub fn earlier_twin(&self, k: usize) -> Option<&StudyVariant> {
         let models = self.variants[k].model_files()?;
         self.variants[..k].iter().find(|other| other.model_files().as_ref() == Some(&models))
     }
 
-    /// Returns the task, common to all runs.
+    /// Returns the task, common to all runs; the default without runs.
     pub fn task(&self) -> Task {
         self.runs().next().map_or_else(Task::default, |run| run.scores.table.task)
     }
@@ -222,7 +222,7 @@ fn list_fields(value: &Value) -> Vec<String> {
     }
 }
 
-/// Groups the runs of one setting by pipeline, independent of names; a repeated seed is the same run.
+/// Groups the runs of one setting by pipeline, independent of names. Of runs with the same seed, the first is kept.
 fn group_by_variant(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
     let mut variants: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {

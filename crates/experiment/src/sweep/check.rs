@@ -195,7 +195,7 @@ impl SweepPlan {
         (0..self.runs.len()).map(|run| self.state(run)).collect()
     }
 
-    /// Determines the state of one run. It failed too if its folder cannot be read, is damaged or has another run.
+    /// Determines the state of one run. A folder that cannot be read, is damaged or has another run also counts as failed.
     pub fn state(&self, run: usize) -> RunStage {
         let folder = self.run_folder(run);
         match RunFolder::inspect(&folder, &self.runs[run].pipeline)

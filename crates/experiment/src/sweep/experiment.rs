@@ -148,8 +148,8 @@ impl Check for SweepVariant {
     }
 }
 
-/// Converts `text` to a part of a folder name: characters other than letters, digits, `.`, `_` and `+` become single `-`
-/// between the others, and a minus before a first digit is kept. Empty if `text` has no others.
+/// Converts `text` to a part of a folder name: keeps ASCII letters, digits, `.`, `_` and `+`, with one `-` for all characters
+/// between them. The minus sign of a number at the start is kept. Empty if nothing is kept.
 pub(super) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
     let plain: String = text.chars().map(plain).collect();

@@ -54,7 +54,7 @@ impl Listing {
     /// Reads the listing of a sweep folder; `None` if it is not one.
     ///
     /// # Errors
-    /// A file that cannot be read, or is not a valid listing.
+    /// A file that cannot be read, is not a valid listing, or names a folder outside the sweep folder.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
         let Some(text) = files::if_found(&path, files::read_string(&path))? else { return Ok(None) };

@@ -89,8 +89,8 @@ impl SweepPlan {
         let folder = path.parent().unwrap_or(Path::new(""));
         let tree = RonTree::parse(text).map_err(|why| Error::input(path, why))?;
         let source = ExperimentSource { path, folder, experiment, text, tree: &tree, set };
-        let read_own_base = || read_base(folder, &experiment.base);
-        let draft = source.apply_common(base.map_or_else(read_own_base, PipelineEdit::of)?)?;
+        let read_named_base = || read_base(folder, &experiment.base);
+        let draft = source.apply_common(base.map_or_else(read_named_base, PipelineEdit::of)?)?;
         source.refuse_too_many_runs()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
         for axis in 0..experiment.axes.len() {
@@ -303,6 +303,7 @@ impl ExperimentSource<'_> {
         }
         let mut pipeline = pipeline.clone();
         pipeline.seed = seed;
+        // Characters that the name of a pipeline may not have.
         let plain = |c: char| match c {
             '=' | '+' => '-',
             ',' => '_',

@@ -84,7 +84,7 @@ impl SweepPlan {
         }
     }
 
-    /// Formats the table of `runs` (indices in the plan) with their estimated seconds, which are 0 for finished ones.
+    /// Formats the table of `runs` (indices in the plan) with their estimated seconds: 0 for finished ones, NaN if unknown.
     pub fn estimate_table(&self, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
         let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
         for (&run, seconds) in runs.iter().zip(seconds) {
@@ -108,8 +108,9 @@ impl SweepPlan {
     pub fn describe_total(&self, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
         let total = seconds.iter().filter(|seconds| seconds.is_finite()).sum::<f64>() / jobs as f64;
         let mut text = format!(
-            "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
-             pruning; densification lengthens later steps, and initialising, baselines and scoring are not included\n",
+            "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, \
+             before and after pruning; densification lengthens later steps, and initialising, baselines and scoring are \
+             not included\n",
             format_duration(total)
         );
         if total > LONG_SECONDS {
@@ -127,8 +128,8 @@ impl SweepPlan {
         text
     }
 
-    /// Returns whether all runs have finished or failed, and some have finished, so that no other process writes the
-    /// report.
+    /// Returns whether all runs have finished or failed, and some have finished: the process that ends the last run then
+    /// writes the report.
     pub fn has_ended(&self) -> bool {
         let states = self.states();
         let is_over = |state: &RunStage| matches!(state, RunStage::Finished(_) | RunStage::Failed(_));
