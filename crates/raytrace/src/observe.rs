@@ -6,7 +6,7 @@ mod tests;
 use crate::Complex;
 use crate::array::mean_power;
 use crate::path::PropagationPath;
-use crate::scene::{Noise, SceneReceiver};
+use crate::scene::{Noise, SNR_RANGE_DB, SceneReceiver};
 use crate::spectrum::Spectrum;
 use pwrfgs_core::rng::{self, Rng, normal_f64};
 use pwrfgs_core::{JsonSchema, Task};
@@ -59,7 +59,7 @@ impl ObservationKind {
             Self::Power { noise_db } if !(0.0..=100.0).contains(&noise_db) => {
                 Err(format!("`noise_db` is {noise_db}; give 0 to 100 dB"))
             }
-            Self::Channel { snr_db: Some(snr) } if !(-100.0..=300.0).contains(&snr) => {
+            Self::Channel { snr_db: Some(snr) } if !SNR_RANGE_DB.contains(&snr) => {
                 Err(format!("`snr_db` is {snr}; give -100 to 300 dB, or leave it out for the noise of the scene"))
             }
             _ => Ok(()),

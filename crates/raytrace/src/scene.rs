@@ -10,6 +10,7 @@ mod transmitters;
 
 pub use antennas::{MovingReceiver, Orientation, SceneReceiver, SceneTransmitter};
 pub use noise::Noise;
+pub(crate) use noise::SNR_RANGE_DB;
 pub use propagation::{Propagation, Subcarriers};
 pub use room::{Finish, Object, Outline, Room};
 pub use transmitters::Transmitters;
@@ -29,6 +30,8 @@ use std::path::{Path, PathBuf};
 
 /// Longest name, characters.
 const LONGEST_NAME: usize = 200;
+/// Largest thickness of a sheet, metres.
+pub(crate) const THICKEST: f64 = 10.0;
 /// Smallest real part of the relative permittivity: below it, coefficients round.
 const LEAST_PERMITTIVITY: f64 = 1e-6;
 /// Largest modulus of the relative permittivity: above it, coefficients overflow.
@@ -124,7 +127,7 @@ impl SceneFile {
     }
 
     /// Reads a Mitsuba file as a scene with a default carrier, and isotropic antennas at positions that suit its size. Returns an
-    /// error for an invalid file, a mesh that cannot be read, or a single wall.
+    /// error for an invalid file, too many triangles, a mesh that cannot be read, or a single wall.
     fn read_mitsuba(path: &Path) -> Result<Self> {
         let meshes = MitsubaScene::read(path, std::iter::empty())?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
@@ -329,9 +332,10 @@ impl SceneFile {
             return Err(SceneFault::new(why, &quoted));
         }
         if let Some(thickness) = finish.thickness_m
-            && !(thickness > 0.0 && thickness <= 10.0)
+            && !(thickness > 0.0 && thickness <= THICKEST)
         {
-            let why = format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
+            let advice = format!("give metres between 0 and {THICKEST}, or leave it out");
+            let why = format!("{owner}: `thickness_m` is {thickness}; {advice}");
             return Err(SceneFault::new(why, &quoted));
         }
         match finish.roughness {

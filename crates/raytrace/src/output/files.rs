@@ -281,8 +281,8 @@ fn create_metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFi
     }
 }
 
-/// Returns the text of an observation in the table: row `id` of absolute powers of a spectrum, or a cell of received power,
-/// the last of its row if `is_last`; empty for a channel.
+/// Returns the text of an observation in the table of [`DatasetFiles::create`]: row `id` of absolute powers of a spectrum, or
+/// a cell of received power, the last of its row if `is_last`; empty for a channel.
 fn table_cells(id: usize, observed: &SimulatedObservation, is_last: bool) -> String {
     match observed {
         SimulatedObservation::Spectrum(spectrum) => {

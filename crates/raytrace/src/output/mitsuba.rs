@@ -1,7 +1,7 @@
 //! Writes a scene as Mitsuba XML and PLY files, for Sionna RT.
 
 use crate::material;
-use crate::scene::{Finish, SceneFile};
+use crate::scene::{Finish, SceneFile, THICKEST};
 use crate::world::{Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::files::{NewFolder, write_atomically};
@@ -11,8 +11,6 @@ use std::fmt::{Display, Write as _};
 use std::path::Path;
 use std::{fs, iter};
 
-/// Thickness of a solid, metres: waves do not reach its far side.
-const SOLID: f64 = 10.0;
 /// Longest name of a file, characters.
 const LONGEST: usize = 60;
 /// Number of steps per metre of a coordinate; neighbouring triangles then have equal corners.
@@ -104,7 +102,8 @@ fn bsdf_xml(scene: &SceneFile, id: &str, finish: &Finish) -> String {
         let conductivity = property_xml("float", "conductivity", &conductivity.min(MOST_CONDUCTIVITY));
         ("radio-material", property_xml("float", "relative_permittivity", &permittivity) + &conductivity)
     };
-    let thickness = property_xml("float", "thickness", &finish.thickness_m.unwrap_or(SOLID));
+    // Waves do not reach the far side of a solid.
+    let thickness = property_xml("float", "thickness", &finish.thickness_m.unwrap_or(THICKEST));
     let roughness = finish.roughness.unwrap_or(scene.propagation.roughness);
     let roughness = property_xml("float", "scattering_coefficient", &roughness);
     format!("        <bsdf type=\"{kind}\" id=\"material-{id}\">\n{constants}{thickness}{roughness}        </bsdf>\n")

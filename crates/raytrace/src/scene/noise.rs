@@ -2,6 +2,10 @@
 
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
+
+/// Accepted signal-to-noise ratios of scenes and channels, dB.
+pub(crate) const SNR_RANGE_DB: RangeInclusive<f64> = -100.0..=300.0;
 
 /// Receiver errors; none by default.
 ///
@@ -22,7 +26,7 @@ pub struct Noise {
 impl Check for Noise {
     fn check(&self) -> Result<(), String> {
         if let Some(snr) = self.snr_db
-            && !(-100.0..=300.0).contains(&snr)
+            && !SNR_RANGE_DB.contains(&snr)
         {
             return Err(format!("noise: `snr_db` is {snr}; give -100 to 300 dB, or leave it out for no noise"));
         }

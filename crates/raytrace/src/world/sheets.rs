@@ -77,8 +77,8 @@ impl WorldBuilder {
         a.layer == b.layer && (self.parts[one] == self.parts[other] || is_alike)
     }
 
-    /// Returns the pieces of an edge that no earlier face covers and beyond which the sheet ends. A fold of which earlier
-    /// faces cover one side becomes an edge of them.
+    /// Returns the pieces of an edge that no earlier face covers and beyond which the sheet ends. If an earlier face covers
+    /// one side of a fold, it replaces the face of this side.
     fn outer_edges(&self, edge: &Edge, coincident: Coincident<'_>) -> Vec<Edge> {
         let [first, second] = edge.faces;
         let (bounds, inwards) = (bounding_box(&edge.ends, MARGIN), edge.inward_directions());

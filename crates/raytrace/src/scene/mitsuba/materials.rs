@@ -2,6 +2,7 @@
 
 use super::{Element, MitsubaScene, Reader, child_elements, property_element};
 use crate::material::{self, Material};
+use crate::scene::THICKEST;
 use crate::scene::room::Finish;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Result, did_you_mean};
@@ -64,11 +65,11 @@ impl<'a> Reader<'a> {
     fn read_material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
         let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required_attribute(node, "type")?);
-        let (itu_names, shown) = (material::itu_material_names(), quoted(&id));
+        let shown = quoted(&id);
         // The exporter of Blender begins ids with `mat-`.
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
-        let itu = itu.filter(|name| kind != "radio-material" || itu_names.contains(name));
+        let itu = itu.filter(|name| kind != "radio-material" || material::itu_material(name).is_some());
         let scene_material = [&*id, plain].into_iter().find(|name| self.scene_materials.contains(name));
         if ["radio-material", "itu-radio-material"].contains(&&*kind) {
             self.check_properties(node)?;
@@ -87,22 +88,29 @@ impl<'a> Reader<'a> {
                         `itu-radio-material`, or give its constants in `materials` of a scene file";
             let problem = format!("material {shown} of type {} {problem}", quoted(&kind));
             self.require(kind == "radio-material", node, problem)?;
-            // The same limits as in `output/mitsuba.rs`.
-            let a = self.property_number(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
-            let c = self.property_number(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
-            // A name of ITU-R P.2040 would replace that material in the whole scene.
-            let name = if itu_names.contains(&&*id) { format!("{id} (radio-material)") } else { id.clone() };
-            scene.materials.insert(name.clone(), Material { a, b: 0.0, c, d: 0.0, range_ghz: (0.0, f64::INFINITY) });
-            name
+            self.read_constants(node, &id, scene)?
         };
         if self.property_number(node, "xpd_coefficient", 0.0, 1.0)?.is_some_and(|xpd| xpd > 0.0) {
             tracing::warn!("{}: `xpd_coefficient` of material {shown} is ignored", self.path.display());
         }
-        let thickness_m = Some(self.property_number(node, "thickness", 1e-6, 10.0)?.unwrap_or(THICKNESS));
+        let thickness_m = Some(self.property_number(node, "thickness", 1e-6, THICKEST)?.unwrap_or(THICKNESS));
         let roughness = self.property_number(node, "scattering_coefficient", 0.0, 1.0)?;
         let finish = Finish { material, thickness_m, roughness };
         self.finishes.insert(id, finish.clone());
         Ok(finish)
+    }
+
+    /// Adds the material with the constants of the radio material `id` to `scene`, and returns its name. Returns an error for
+    /// a constant out of range.
+    fn read_constants(&self, node: Element<'_>, id: &str, scene: &mut MitsubaScene) -> Result<String> {
+        // The limits are those of `output/mitsuba.rs`.
+        let a = self.property_number(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
+        let c = self.property_number(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
+        // A name of ITU-R P.2040 would replace that material in the whole scene.
+        let is_taken = material::itu_material(id).is_some();
+        let name = if is_taken { format!("{id} (radio-material)") } else { id.to_owned() };
+        scene.materials.insert(name.clone(), Material { a, b: 0.0, c, d: 0.0, range_ghz: (0.0, f64::INFINITY) });
+        Ok(name)
     }
 
     /// Returns the name of the ITU-R P.2040 material of a `bsdf` element: its property `type`, else the name in its id. Returns
