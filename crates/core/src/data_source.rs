@@ -19,8 +19,8 @@ pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait DataSource: crate::plugin::PluginObject {
-    /// Loads all data into memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress`
-    /// counts links; pass `&|_, _| {}` to ignore it.
+    /// Loads the data; large spectra stay in their file. Relative paths are relative to `base`, the folder of the pipeline
+    /// file. `progress` counts links, transmitters or files; pass `&|_, _| {}` to ignore it.
     ///
     /// # Errors
     /// The files are missing, damaged or invalid; the message has the file and, for text, line and column.
@@ -135,8 +135,8 @@ pub trait Baseline: crate::plugin::PluginObject {
             .map_err(Misfit::error)
     }
 
-    /// Fits the baseline to the links of `fitting` and returns its predictor. Choices use the validation set; if it is empty,
-    /// samples held out of the training set.
+    /// Fits the baseline to the links of `fitting` and returns its predictor. Choices, such as the k of k-NN, are made on the
+    /// validation set or on other held-out links of `fitting`.
     ///
     /// # Errors
     /// The data do not suit the baseline, an observation cannot be read, or the [flag](FittingSet::stop) ends the fit.
@@ -166,7 +166,8 @@ plugin_kind!(Baseline);
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Predict: Send + Sync {
     /// Returns the observation with the size of the data ([`Observations`](crate::Observations) describes powers and
-    /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver ignores `query.receiver`.
+    /// channels as arrays); spectra are not clamped. NaN if the prediction of another program cannot be read. A predictor
+    /// fitted to one receiver ignores `query.receiver`.
     fn predict(&self, query: Query<'_>) -> Image;
 
     /// Returns the observations of many links, in their order: those of [`Self::predict`] to the bit.
@@ -256,7 +257,7 @@ pub enum LinkSet {
 pub struct FittingSet<'a> {
     /// Training links, as for models.
     pub train: &'a [usize],
-    /// Validation links. Baselines first use them for choices, then for the fit like training links.
+    /// Validation links. Baselines may use them for choices, and then fit them like training links.
     pub validation: &'a [usize],
     /// Flag that ends the fit; `None` if it cannot be interrupted.
     pub stop: Option<&'a AtomicBool>,

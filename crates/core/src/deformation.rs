@@ -28,7 +28,7 @@ pub trait Deformation: crate::plugin::PluginObject {
     }
 
     /// Precomputes the transmitter-independent part of [`Self::forward`] from weights, centres and pose, for repeated
-    /// predictions. `None` if all computations depend on the transmitter.
+    /// predictions. `None` if nothing is precomputed.
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
         None
     }

@@ -37,12 +37,12 @@ impl std::fmt::Debug for InitializerInput<'_> {
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Initializer: crate::plugin::PluginObject {
-    /// Returns the initial cloud with at least one Gaussian. `plane.angles` or `plane.camera` gives the
+    /// Returns the initial cloud, with at least one Gaussian if the method has any. `plane.angles` or `plane.camera` gives the
     /// directions of pixels in the receiver frame, for initialisers that place Gaussians in view; without both, as for the
     /// released projection, pixels do not follow the receiver pose.
     ///
     /// # Errors
-    /// The scene lacks a required input; the message names the alternative.
+    /// The scene lacks a required input, and the message names the alternative; or a file of the plugin cannot be read.
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud>;
 
     /// Returns the initial cloud from the observations of the links `train`; by default [`Self::initialize`], which
@@ -50,7 +50,7 @@ pub trait Initializer: crate::plugin::PluginObject {
     /// once `stop` is set. A resumed run does not repeat the search.
     ///
     /// # Errors
-    /// As [`Self::initialize`].
+    /// As [`Self::initialize`]; observations that do not suit the search.
     fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         self.initialize(&input.data.scene, input.plane, rng)
     }
@@ -67,7 +67,7 @@ pub trait Initializer: crate::plugin::PluginObject {
     /// Returns initial weights; `None` for the standard initialisation.
     ///
     /// # Errors
-    /// The weights do not fit the method.
+    /// The weights do not fit the method, or cannot be read.
     fn weights(&self, input: &InitializerInput<'_>) -> Result<Option<Vec<Real>>> {
         Ok(None)
     }
