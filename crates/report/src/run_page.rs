@@ -16,23 +16,20 @@ use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::plugin::ron_line;
-use pwrfgs_core::{Appearance, Error, Result};
+use pwrfgs_core::{Appearance, Dataset, Error, Result};
 use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use pwrfgs_experiment::{CEILING, LoadedRun, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 
-/// Creates the page of a run from its folder.
+/// Creates the page of a run; reads the snapshots in its folder.
 ///
 /// # Errors
-/// If a snapshot of the training is damaged or an observation cannot be read.
+/// A damaged snapshot, or an observation that cannot be read.
 pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     let LoadedRun { record, model, data, partition } = run;
     let (scores, facts, pipeline) = (&record.scores.table, &record.facts, &record.pipeline);
     let chosen = examples::choose_examples(run)?;
     let (examples, limit) = examples::spectra_panels(run, &chosen);
-    let bounds = [data.scene.bounds.0, data.scene.bounds.1]
-        .map(|p| data.scene.origin.world(p).map(|v| (v * 10.0).round() / 10.0));
-    let draws_splats = model.is_drawn_as(Appearance::Ellipsoids);
     let page = context! {
         name => pipeline.name.clone(),
         title => data.title.clone(),
@@ -44,7 +41,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         has_pixels => data.task().has_pixels,
         words => task_words(run),
         split => ron_line(&pipeline.split),
-        bounds => bounds.map(Vec::from),
+        bounds => scene_corners(data),
         seed => pipeline.seed,
         heading => scores.heading(),
         verdict => scores.verdict(),
@@ -57,7 +54,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         oracles_known => scores.oracles.clone(),
         notes => scores.notes.clone(),
         figures => curves::figures(run),
-        room => if draws_splats { Some(room_panels(run)?) } else { None },
+        room => model.is_drawn_as(Appearance::Ellipsoids).then(|| room_panels(run)).transpose()?,
         powers => data.task().is_scalar.then(|| powers::section(run, &chosen)),
         error_maps => maps::spectrum_error_maps(run),
         receivers => tables::receiver_table(run),
@@ -72,6 +69,12 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         confidence => curves::confidence_chart(run),
     };
     render("run.html", page)
+}
+
+/// Returns the low and high corner of the scene, metres in the world frame, rounded to one decimal.
+fn scene_corners(data: &Dataset) -> [Vec<f64>; 2] {
+    let rounded = |v: f64| (v * 10.0).round() / 10.0;
+    [data.scene.bounds.0, data.scene.bounds.1].map(|corner| data.scene.origin.world(corner).map(rounded).into())
 }
 
 /// Creates a self-contained page with only the interactive room of a run. Also returns whether its model predicts in
@@ -91,7 +94,7 @@ pub fn room_page(run: &LoadedRun<'_>) -> Result<(String, bool)> {
     Ok((render("room.html", context)?, predicts))
 }
 
-/// Returns the words for the parts of a model and its observations.
+/// Returns the words that the template uses for the parts of the model and the observations.
 fn task_words(run: &LoadedRun<'_>) -> Value {
     let task = run.data.task();
     let [singular, plural] = task.counted;
@@ -103,15 +106,15 @@ fn task_words(run: &LoadedRun<'_>) -> Value {
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
-/// Returns the pipeline of the run, below a note if separate runs are joined to an ensemble, since each has its own.
+/// Returns the pipeline of the run as RON. For an ensemble of separate runs, a comment says that each has its own pipeline.
 fn pipeline_text(run: &LoadedRun<'_>) -> Result<String> {
     let is_joined = run.record.pipeline.members == 1 && run.model.members().len() > 1;
     let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";
     Ok(if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()?)
 }
 
-/// Returns the name, folder and number of Gaussians of each member of an ensemble, and its page if it is a run of a
-/// sweep; none for the model of one run.
+/// Returns the name, folder and number of Gaussians of each member of an ensemble; if members are runs of a sweep, also the path
+/// of their page. None for a single model.
 fn member_pages(run: &LoadedRun<'_>) -> Vec<Value> {
     let models = run.model.names().iter().zip(run.model.members());
     let member = |(folder, (name, model)): (&String, (&String, &Model))| {

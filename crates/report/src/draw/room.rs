@@ -67,7 +67,7 @@ impl RoomFigure {
         };
         draw(&partition.train, TRAINING, VectorPath::add_plus, 1.6);
         draw(&partition.test, TEST, VectorPath::add_cross, 1.3);
-        // Estimated positions are not drawn.
+        // Estimated and unknown positions are not drawn.
         let ends = if data.scene.has_distances() { data.scene.fixed_ends() } else { Vec::new() };
         let poses: Vec<Pose> = ends.into_iter().map(|pose| data.scene.origin.world_pose(pose)).collect();
         let mut receiver = None;

@@ -25,7 +25,7 @@ const ROW_STYLE: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0,
 /// virtual transmitters.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let data = run.data;
-    let single = data.width == 1 && data.height == 2;
+    let single = data.width == 1 && data.height == 2; // rows of real and imaginary parts of one antenna
     context! {
         examples => if single { Vec::new() } else { example_charts(run, chosen) },
         plane => if single { complex_plane(run) } else { None },
@@ -87,8 +87,8 @@ fn example_charts(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     chosen.iter().map(example).collect()
 }
 
-/// Draws channels of one number each as dots on the complex plane, measured and predicted joined; `None` if all
-/// channels are zero or not finite.
+/// Draws at most [`DOTS`] channels of one number each on the complex plane, and joins measured dots with predicted crosses.
+/// `None` without test links, or if all channels are zero or not finite.
 fn complex_plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
     super::examples::for_each_link(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
@@ -97,7 +97,10 @@ fn complex_plane(run: &LoadedRun<'_>) -> Option<Value> {
         predicted.push(gain(prediction));
     });
     let reach = measured.iter().chain(&predicted).flat_map(|(a, b)| [a.abs(), b.abs()]).filter(|v| v.is_finite());
-    let reach = 1.08 * reach.fold(0.0, f64::max);
+    let reach = 1.08 * reach.fold(0.0, f64::max); // with a margin
+    if measured.is_empty() || reach <= 0.0 {
+        return None;
+    }
     let mut lines = vec![
         marked_line(predicted.clone(), PREDICTED, Stroke::None, Marker::Cross, "predicted"),
         marked_line(measured.clone(), MEASURED, Stroke::None, Marker::Circle, "measured"),
@@ -107,9 +110,6 @@ fn complex_plane(run: &LoadedRun<'_>) -> Option<Value> {
     let axis = |name: &str| ChartAxis { name: name.into(), ends: Some((-reach, reach)), log: false };
     let style = ChartStyle { size: [470.0, 450.0], ..ROW_STYLE };
     let chart = Chart { style, x: axis("real part"), y: axis("imaginary part"), lines, ..Chart::default() };
-    if measured.is_empty() || reach <= 0.0 {
-        return None;
-    }
     Some(context! { svg => chart.draw()?.svg("chart", "channels on the complex plane"), links => measured.len() })
 }
 
@@ -127,7 +127,7 @@ pub(super) struct Gains {
 pub(super) type LinePair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
 
 impl Gains {
-    /// Converts the rows of an observation.
+    /// Converts the rows of an observation, `[2A, F]`, to gains.
     pub(super) fn of(rows: &Image) -> Self {
         let values = gains_of(&rows.pixels, rows.width).into_iter().map(|gain| gain.map(|v| v as f64)).collect();
         Self { antennas: rows.height / 2, subcarriers: rows.width, values }
@@ -138,7 +138,7 @@ impl Gains {
         &self.values[a * self.subcarriers..][..self.subcarriers]
     }
 
-    /// Returns the index of the antenna with the highest power.
+    /// Returns the index of the antenna with the highest power over all subcarriers; the first of equal ones.
     fn strongest_antenna(&self) -> usize {
         let energy = |a: usize| self.antenna_gains(a).iter().map(power).sum::<f64>();
         (0..self.antennas).max_by(|a, b| energy(*a).total_cmp(&energy(*b)).then(b.cmp(a))).unwrap_or(0)
@@ -150,8 +150,9 @@ pub(super) fn power([re, im]: &[f64; 2]) -> f64 {
     re * re + im * im
 }
 
-/// Returns magnitude (dB) and phase (degrees) of both, over the subcarriers of the strongest antenna or over the antennas,
-/// with the name of the horizontal axis and the index of the antenna; `None` over the antennas, or for a single one.
+/// Returns magnitude (dB relative to the measured maximum) and phase (degrees) of both: over the antennas for one subcarrier,
+/// otherwise over the subcarriers of the strongest measured antenna. Also returns the name of the horizontal axis and the
+/// index of that antenna; `None` over the antennas, or for a single one.
 pub(super) fn magnitude_and_phase(
     measured: &Gains,
     predicted: &Gains,
@@ -177,7 +178,7 @@ pub(super) fn magnitude_and_phase(
     )
 }
 
-/// Returns the distances of frequencies in Hz from their mean, in kHz for a narrow band and otherwise in MHz, and the name of
+/// Returns the differences of frequencies in Hz from their mean, in kHz within 1 MHz and otherwise in MHz, and the name of
 /// their axis.
 fn frequency_axis(frequencies: &[f64]) -> (Vec<f64>, String) {
     let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
@@ -187,7 +188,7 @@ fn frequency_axis(frequencies: &[f64]) -> (Vec<f64>, String) {
     (frequencies.iter().map(|f| (f - middle) / unit).collect(), words)
 }
 
-/// Returns the ratio in decibels, 10 log₁₀, at least [`FLOOR_DB`].
+/// Returns the ratio of two powers in decibels, at least [`FLOOR_DB`]; that if the reference is 0.
 pub(super) fn decibels(power: f64, reference: f64) -> f64 {
     if reference > 0.0 { (10.0 * (power / reference).log10()).max(FLOOR_DB) } else { FLOOR_DB }
 }
@@ -197,15 +198,15 @@ fn phase_deg([re, im]: &[f64; 2]) -> f64 {
     im.atan2(*re).to_degrees()
 }
 
-/// Returns the unwrapped phases: no jump exceeds half a turn; the first is as close to `from` as whole turns allow.
+/// Returns the unwrapped phases, degrees: no jump exceeds half a turn; the first is as close to `from` (`None`: 0) as whole
+/// turns allow.
 fn unwrapped_phases(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
-    let mut last = from.unwrap_or(0.0);
     let near = |phase: f64, last: f64| phase + 360.0 * ((last - phase) / 360.0).round();
-    let unwrap = |gain| {
-        last = near(phase_deg(gain), last);
-        last
+    let unwrap = |last: &mut f64, gain| {
+        *last = near(phase_deg(gain), *last);
+        Some(*last)
     };
-    gains.iter().map(unwrap).collect()
+    gains.iter().scan(from.unwrap_or(0.0), unwrap).collect()
 }
 
 /// Minimum number of subcarriers for a delay profile.
@@ -217,7 +218,7 @@ const BEFORE: usize = 6;
 /// Maximum number of points along the delay axis.
 const MOST_DELAYS: usize = 2_048;
 
-/// Returns the subcarrier spacing, Hz; `None` for too few or unequally spaced subcarriers.
+/// Returns the subcarrier spacing, Hz; `None` for fewer than [`FEWEST`] or unequally spaced subcarriers.
 pub(super) fn subcarrier_spacing(frequencies: &[f64]) -> Option<f64> {
     let step = (frequencies.last()? - frequencies.first()?) / (frequencies.len().max(2) - 1) as f64;
     let is_even = frequencies.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 1e-3 * step.abs());

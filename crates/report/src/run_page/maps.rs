@@ -33,7 +33,8 @@ enum ErrorScale {
     Positive(f64),
 }
 
-/// Draws the maps of 1 − SSIM of the test spectra; `None` for other tasks, or if the pipeline lacks the metric.
+/// Draws the maps of 1 − SSIM of the test spectra; `None` for other tasks, without positions, or if the pipeline lacks the
+/// metric.
 pub(super) fn spectrum_error_maps(run: &LoadedRun<'_>) -> Option<Value> {
     let headline = run.data.task().headline;
     let scores = run.record.scores.sample_values(MODEL, headline.key).filter(|_| run.data.task().has_pixels)?;
@@ -73,11 +74,12 @@ pub(super) fn error_maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<
     })
 }
 
-/// Draws the map of one receiver, in the frame of all transmitters that it received.
+/// Draws the map of one receiver, in a frame around it and all transmitters that it received.
 fn draw_map(run: &LoadedRun<'_>, receiver: usize, errors: &[LinkError], scale: ErrorScale) -> Canvas {
     let data = run.data;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
     let ends = if data.scene.has_distances() { data.scene.fixed_ends() } else { Vec::new() };
+    // If the receivers move, the only fixed end is the transmitter.
     let fixed = ends.get(receiver).or(ends.first()).map(|pose| flat(data.scene.origin.world_pose(*pose).position));
     let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.position()));
     let plan = FloorPlan::new(FloorPlan::frame(links().chain(fixed)), ["x", "y"], WIDTH, MOST_HEIGHT);
@@ -95,8 +97,8 @@ fn draw_map(run: &LoadedRun<'_>, receiver: usize, errors: &[LinkError], scale: E
 }
 
 impl ErrorScale {
-    /// Creates the scale up to the 95th percentile of the absolute errors: a few large errors would make all others
-    /// white.
+    /// Creates the scale up to the 95th percentile of the absolute errors, as `maps.html` says: a few large errors would make all
+    /// others white. The limit is rounded up to a multiple of 0.05 of 1 − SSIM, or of 1 dB.
     fn new(errors: &[LinkError], is_positive: bool) -> Self {
         let most = quantile(&sorted(errors.iter().map(|error| error.error.abs())), 0.95);
         if is_positive {
@@ -127,7 +129,7 @@ impl ErrorScale {
             Self::Signed(limit) => vec![
                 (-limit, format!("{limit} dB too low")),
                 (-limit / 2.0, format!("{} dB", limit / 2.0)),
-                (0.02 * limit, "0 dB".to_owned()),
+                (0.02 * limit, "0 dB".to_owned()), // at 0, the triangle is too small to see
                 (limit / 2.0, format!("{} dB", limit / 2.0)),
                 (limit, format!("{limit} dB or more too high")),
             ],

@@ -59,8 +59,9 @@ fn signed_db(db: f64) -> String {
     format!("{db:+.2}").replace('-', "−")
 }
 
-/// Draws the histogram of errors in per cent of the test links, with its title; the outermost bars contain the last hundredth
-/// at each end. `None` without errors, or if they are too large.
+/// Draws the histogram of the ascending `errors` in per cent of the test links, and returns title and SVG. The outermost bars
+/// contain all larger errors, about one in a hundred at most. `None` without errors, or if the others do not fit into
+/// [`BARS`] bars of 10 dB.
 fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     errors.first()?;
     let reach = quantile(errors, 0.01).abs().max(quantile(errors, 0.99).abs());
@@ -95,7 +96,8 @@ fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
 }
 
-/// Draws the predicted against the measured power with the line of equality, with its title; `None` without links.
+/// Draws the predicted against the measured power of at most [`DOTS`] links with the line of equality, and returns title and
+/// SVG; `None` without links.
 fn draw_scatter(pairs: &[PowerPair], unit: &str) -> Option<(&'static str, String)> {
     pairs.first()?;
     let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|pair| (pair.measured, pair.predicted)).collect();

@@ -7,7 +7,7 @@ use pwrfgs_core::Appearance;
 use pwrfgs_core::statistics::{evenly, quantile, sorted};
 use pwrfgs_experiment::{LoadedRun, text::grouped};
 
-/// Maximum numbers of drawn transmitters and surface points, strongest first.
+/// Maximum numbers of drawn transmitters, the strongest, and of surface points, evenly selected.
 const SHOWN: usize = 600;
 const POINTS: usize = 2_500;
 /// Width of a view, and its maximum height without axes.
@@ -15,7 +15,7 @@ const WIDTH: f64 = 560.0;
 const MOST_HEIGHT: f64 = 420.0;
 /// Radius of the strongest transmitter.
 const RADIUS: f64 = 9.0;
-/// Level below the strongest at which all discs have the smallest size, dB.
+/// Level below the strongest at which all discs have the smallest size, dB; `channels.html` prints it.
 const RANGE_DB: f64 = 40.0;
 const BLUE: Colour = Colour::hex(0x17_4a99);
 const WALLS: Colour = Colour::hex(0xb4_5f06);
@@ -107,7 +107,7 @@ fn view_frame(walls: [[f64; 2]; 2], positions: &[[f64; 2]]) -> [[f64; 2]; 2] {
     FloorPlan::frame(walls.into_iter().chain([ends(0.02), ends(0.98)]))
 }
 
-/// Returns the radius of a disc whose area falls linearly with the level `db`, at most 0.
+/// Returns the radius of a disc. Its area falls linearly with the level `db` below the strongest, to 3 % at about [`RANGE_DB`].
 fn disc_radius(db: f64) -> f64 {
     RADIUS * (1.0 + db.max(-RANGE_DB) / RANGE_DB).max(0.03).sqrt()
 }
