@@ -48,7 +48,8 @@ impl PartialFolder {
         let other: Vec<&str> = lines.iter().zip(request).filter(differs).map(|(_, (part, _))| *part).collect();
         if !other.is_empty() {
             return Err(Error::Config(format!(
-                "{} holds unfinished output of other {}; repeat the command that began it, remove this folder, or choose another --out",
+                "{} holds unfinished output of other {}; repeat the command that began it, remove this folder, or choose \
+                 another --out",
                 path.display(),
                 other.join(" and ")
             )));
@@ -85,7 +86,7 @@ impl PartialFolder {
         rename_to_target(&self.path, &self.out, REQUEST)
     }
 
-    /// Removes the folder, which no request can complete.
+    /// Removes the folder of a request that cannot succeed, so that the next start begins anew.
     pub fn discard(self) {
         let _ = fs::remove_dir_all(&self.path); // the next start then reports its content
     }
