@@ -57,8 +57,8 @@ impl ActivationVjp {
 }
 
 impl Activation {
-    /// Returns the geometry for transmitter `b` of the batch in `deltas`, with scales and opacities times `gate` `[N]`
-    /// (`None`: all open).
+    /// Returns the geometry for transmitter `b` of the batch in `deltas`, whose missing terms are 0, with scales and opacities
+    /// times `gate` `[N]` (`None`: all open).
     pub fn geometry(&self, cloud: &GaussianCloud, deltas: &Deltas, b: usize, gate: Option<&[Real]>) -> Primitives {
         let n = cloud.len();
         let mut out = Primitives::zeros(n);
@@ -124,7 +124,8 @@ impl Activation {
         }
     }
 
-    /// Returns the signals of the transmitters `batch` of `deltas` for the rasterizer, `[N, batch · channels]`.
+    /// Returns the signals of the transmitters `batch` of `deltas`, whose missing terms are 0, for the rasterizer,
+    /// `[N, batch · channels]`.
     pub fn signals(&self, cloud: &GaussianCloud, deltas: &Deltas, batch: std::ops::Range<usize>) -> Vec<Real> {
         let n = cloud.len();
         let mut out = Vec::with_capacity(n * batch.len() * self.channels);

@@ -62,7 +62,7 @@ impl ReceiverGroup {
         }
     }
 
-    /// Returns the distance between both ends per link, metres; empty without positions.
+    /// Returns the distance between both ends per link, metres; empty if the inputs are features or the fixed end is unknown.
     pub(crate) fn distances(&self, call: &Call<'_>) -> Vec<Real> {
         let Some(fixed) = call.setup.fixed_end(self.state.receiver) else { return Vec::new() };
         let moving = call.links.conditions().positions();
@@ -177,7 +177,8 @@ pub(crate) fn network_terms(
     }
 }
 
-/// Runs the backward pass of the network, given the cotangents `grads` of the activation; adds those of both to `sums`.
+/// Runs the backward pass of the network, given the cotangents `grads` of the activation. Adds the cotangents of network and
+/// activation to `sums`, whose weights begin with those of the network.
 pub(crate) fn network_vjp(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,

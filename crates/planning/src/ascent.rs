@@ -38,11 +38,12 @@ pub struct AscentResult {
     pub links: usize,
 }
 
-/// Searches the positions of `count` receivers with the largest coverage of `transmitters` transmitters, between the low and the
-/// high corner of `area` (metres). `trace` returns powers in dBm of a receiver at x and y from the transmitters of given
-/// indices; `None` if the position is not free. `seed` sets the order of transmitters and the screened positions. One receiver takes
-/// about 50 positions. Returns `None` if there are not enough free positions, or too many for [`combinations`], as from five
-/// receivers.
+/// Searches the positions of `count` receivers with the largest coverage of `transmitters` transmitters. Returns `None` if there
+/// are not enough free positions, or too many for [`combinations`], as from five receivers.
+///
+/// `area` has the low and the high corner, metres. `trace` returns powers in dBm of a receiver at x and y from the transmitters
+/// of given indices; `None` if the position is not free. `seed` sets the order of transmitters and the screened positions. One
+/// receiver takes about 50 positions.
 ///
 /// # Errors
 /// Errors of `trace`.
@@ -191,8 +192,8 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         Ok(false)
     }
 
-    /// Keeps the best subsets, at most `kept`, traces them to `added` more transmitters, and orders them by their new values, which
-    /// are exact if no transmitter is left.
+    /// Keeps the best subsets, at most `kept`, traces them to `added` more transmitters, and orders them by their new values.
+    /// These are exact if no transmitter is left.
     fn select_best(&mut self, kept: usize, added: usize) -> Result<()> {
         self.subsets.sort_by(Subset::compare_values);
         self.subsets.dedup_by(|a, b| a.receivers == b.receivers);

@@ -71,7 +71,7 @@ impl GpuNerf2<'_> {
         groups.iter().enumerate().flat_map(group_items).collect()
     }
 
-    /// Runs the forward pass of all `items`; returns their sums along the rays, and what `keep` makes of their activations.
+    /// Runs the forward pass of all `items`; returns the results of `keep` on their activations, and their sums along the rays.
     ///
     /// # Errors
     /// The GPU failed.
@@ -122,11 +122,11 @@ impl GpuNerf2<'_> {
             }
         }
         let mut results = step.finish()?.into_iter();
-        let of_item = |item: &GpuItem<'_>| -> (Vec<Real>, Vec<Vec<Real>>) {
+        let item_results = |item: &GpuItem<'_>| -> (Vec<Real>, Vec<Vec<Real>>) {
             let attenuation = results.next().unwrap_or_default();
             (attenuation, results.by_ref().take(groups[item.group].links.pass_count()).collect())
         };
-        let results: Vec<_> = items.iter().map(of_item).collect();
+        let results: Vec<_> = items.iter().map(item_results).collect();
         let one = |(item, (attenuation, raw)): (&GpuItem<'_>, (Vec<Real>, Vec<Vec<Real>>))| {
             let (walk, rays) = (&groups[item.group].walk, item.rays.clone());
             let shared = item.ready.map_or_else(|| walk.paths(&attenuation, rays.len()), |ready| ready.shared.clone());

@@ -82,11 +82,11 @@ impl SharedActivations {
     /// Returns the values `[features, live]` of the samples in use, of all `[features, rays, samples]` of a chunk.
     pub(crate) fn select_live(&self, all: &[Real], samples: usize) -> Vec<Real> {
         let rows = all.chunks_exact((self.segments.len() * samples).max(1));
-        let of_ray = |row: &'_ [Real]| -> Vec<Real> {
+        let live_values = |row: &'_ [Real]| -> Vec<Real> {
             let rays = row.chunks_exact(samples).zip(&self.segments);
             rays.flat_map(|(ray, segment)| &ray[..segment.len()]).copied().collect()
         };
-        rows.flat_map(of_ray).collect()
+        rows.flat_map(live_values).collect()
     }
 
     /// Returns values `[features, rays, samples]` of all samples of a chunk, given those `[features, live]` of the samples in
@@ -242,14 +242,14 @@ impl RayWalk<'_> {
         for (i, d) in d.iter().enumerate() {
             let (ray, band) = (i / bands, i % bands);
             let segment = shared.segments[ray].clone();
-            let samples_of_ray = band * live + segment.start..band * live + segment.end;
+            let ray_samples = band * live + segment.start..band * live + segment.end;
             let on_path = (band * rays + ray) * self.rays.sample_count();
             ray_sum_vjp(
                 self.emissions(raw, shared, band, ray),
                 self.ray_factors(shared, band, ray),
                 self.law.phase_offset(),
                 *d,
-                [&mut d_amplitudes[samples_of_ray.clone()], &mut d_phases[samples_of_ray]],
+                [&mut d_amplitudes[ray_samples.clone()], &mut d_phases[ray_samples]],
                 &mut d_factors[on_path..on_path + segment.len()],
             );
         }
@@ -337,13 +337,13 @@ impl RayWalk<'_> {
         let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.band_count() * rays * samples);
         for ray in 0..rays {
             for band in 0..self.band_count() {
-                let of_ray = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
+                let ray_samples = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
                 self.law.fill_factors_vjp(
                     &self.rays.samples,
                     self.ray_attenuations(attenuation, band, ray, rays),
-                    &shared.factors[of_ray.clone()],
-                    &d_factors[of_ray.start..of_ray.start + shared.segments[ray].len()],
-                    [&mut d_amplitudes[of_ray.clone()], &mut d_phases[of_ray]],
+                    &shared.factors[ray_samples.clone()],
+                    &d_factors[ray_samples.start..ray_samples.start + shared.segments[ray].len()],
+                    [&mut d_amplitudes[ray_samples.clone()], &mut d_phases[ray_samples]],
                 );
             }
         }

@@ -145,7 +145,7 @@ impl Waves {
         (d_signals, d_waves)
     }
 
-    /// Adds to the cotangents of means and gate in `grads`, given those of the waves.
+    /// Adds to the cotangents of means and gate in `grads`, given those `d_waves` of [`Self::superpose_vjp`].
     pub(super) fn vjp(call: &Call<'_>, state: ReceiverState, d_waves: &[[Real; 2]], grads: &mut ActivationVjp) {
         let Call { setup, parameters: Parameters { cloud, gate, .. }, .. } = *call;
         let (n, frequencies) = (cloud.len(), setup.frequencies_of(state.receiver));
@@ -164,7 +164,8 @@ impl Waves {
         });
     }
 
-    /// Returns the cotangents of position and orientation (x, y, z, w) of the receiver, given those of the waves.
+    /// Returns the cotangents of position and orientation (x, y, z, w) of the receiver, given those `d_waves` of
+    /// [`Self::superpose_vjp`].
     pub(super) fn pose_vjp(call: &Call<'_>, state: ReceiverState, d_waves: &[[Real; 2]]) -> ([f64; 3], [f64; 4]) {
         let Call { setup, parameters: Parameters { cloud, gate, .. }, .. } = *call;
         let frequencies = setup.frequencies_of(state.receiver);

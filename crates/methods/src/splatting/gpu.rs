@@ -30,6 +30,11 @@ pub(super) enum Cotangents<'a> {
 /// by splats and by Gaussians.
 const RESULTS: usize = 4;
 
+/// Values per Gaussian in slots [`CLOUD`], [`TERMS`] and [`D_ROWS`].
+const CLOUD_WIDTH: usize = WIDTHS[0];
+const TERMS_WIDTH: usize = WIDTHS[1];
+const ROW_WIDTH: usize = WIDTHS[3];
+
 /// Links with one geometry.
 #[derive(Debug)]
 struct DrawnGroup {
@@ -123,7 +128,7 @@ impl Splatting {
             self.record_vjp(&mut step, call, (deltas, d), &groups);
             let results = step.finish()?;
             let mut needed = 0;
-            for lengths in results.chunks_exact(RESULTS).map(|of_group| &of_group[0]) {
+            for lengths in results.chunks_exact(RESULTS).map(|group_results| &group_results[0]) {
                 needed = needed.max(Drawing::entry_count(lengths)?);
             }
             if needed <= entries {
@@ -205,7 +210,7 @@ impl Splatting {
             step.read(PIXELS, 2 * shape.links * shape.pixels(), shape.tiles()); // lengths of the tile lists
             step.read(LOSSES, 0, 2 * shape.links);
             step.read(D_SPLATS, 0, shape.gaussians * shape.derivatives());
-            step.read(D_ROWS, 0, shape.gaussians * WIDTHS[3]);
+            step.read(D_ROWS, 0, shape.gaussians * ROW_WIDTH);
             step.send();
         }
     }
@@ -244,7 +249,7 @@ impl Splatting {
         let DrawnGroup { group, view, shape, order, .. } = drawn;
         let n = cloud.len();
         if last != Some(group.row) {
-            let mut rows = Vec::with_capacity(WIDTHS[0] * n);
+            let mut rows = Vec::with_capacity(CLOUD_WIDTH * n);
             for i in order.iter().map(|&i| i as usize) {
                 rows.extend([cloud.means[i], cloud.log_scales[i]].as_flattened());
                 rows.extend(cloud.quats[i]);
@@ -258,7 +263,7 @@ impl Splatting {
         }
         let (terms, batch) = group.gather_terms(deltas, n);
         if shape.has_terms {
-            let mut rows = Vec::with_capacity(WIDTHS[1] * n);
+            let mut rows = Vec::with_capacity(TERMS_WIDTH * n);
             for i in order.iter().map(|&i| batch.start * n + i as usize) {
                 rows.extend(terms.scales.get(i).copied().unwrap_or_default());
                 rows.extend(terms.quats.get(i).copied().unwrap_or_default());
@@ -286,7 +291,7 @@ impl Splatting {
         let mut d_signals = vec![0.0; n * shape.links * shape.channels];
         group.gather_terms_vjp(deltas, grads, |terms, batch, grads| {
             for ((&i, splat), row) in
-                order.iter().zip(d_splats.chunks_exact(width)).zip(d_rows.as_chunks::<{ WIDTHS[3] }>().0)
+                order.iter().zip(d_splats.chunks_exact(width)).zip(d_rows.as_chunks::<ROW_WIDTH>().0)
             {
                 let (i, term) = (i as usize, batch.start * n + i as usize);
                 let ActivationVjp { cloud, deltas, gate } = &mut *grads;
@@ -343,7 +348,7 @@ pub(super) fn view_constants(mercator: &Mercator, view: &ReceiverView) -> [Real;
 /// Returns splats with radii only, for statistics: the last column of slot [`D_ROWS`], in the order of the Gaussians.
 fn radius_splats(DrawnGroup { order, .. }: &DrawnGroup, d_rows: &[Real]) -> Splats {
     let mut radii = vec![0.0; order.len()];
-    let rows = d_rows.as_chunks::<{ WIDTHS[3] }>().0;
+    let rows = d_rows.as_chunks::<ROW_WIDTH>().0;
     order.iter().zip(rows).for_each(|(&i, [.., radius])| radii[i as usize] = *radius);
     Splats { radii, ..Splats::default() }
 }

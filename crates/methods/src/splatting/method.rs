@@ -46,7 +46,7 @@ impl Splatting {
         (network, PathLossLaws { offsets, exponents })
     }
 
-    /// Returns the number of learned parameters of the receivers.
+    /// Returns the number of learned parameters of the receivers; 0 unless the readout is a power.
     pub(super) fn law_parameter_count(&self, setup: &MeasurementSetup) -> usize {
         if matches!(self.readout, Readout::ReceivedPower { .. }) { LAW.len() * setup.receivers.len() } else { 0 }
     }
@@ -74,8 +74,9 @@ impl Splatting {
         }
     }
 
-    /// Returns the cotangents of the blended signals of [`Self::read_out`], given those `d` of the observations. For powers it
-    /// adds to `d_law`, the cotangents of offset and path-loss exponent.
+    /// Returns the cotangents of the blended signals before [`Self::clamp_as_released`], given those `d` of the observations of
+    /// [`Self::read_out`]. Only powers have `distances` and `d_law`, to which it adds the cotangents of offset and path-loss
+    /// exponent.
     pub(super) fn read_out_vjp(
         &self,
         view: &ReceiverView,

@@ -93,8 +93,8 @@ pub(super) fn distance_slope(exponent: Real, distance: Real) -> Real {
 }
 
 impl Splatting {
-    /// Initialises the path-loss term by a fit to the training set with equal signals in all directions: an offset per
-    /// receiver and one common exponent. A receiver without links in the fit has the mean offset.
+    /// Sets all signals to 1 and fits the path-loss term of the resulting sky to the training set: an offset per receiver and one
+    /// common exponent. A receiver without links in the fit has the mean offset.
     pub(super) fn start_law(
         &self,
         setup: &MeasurementSetup,

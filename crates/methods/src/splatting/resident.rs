@@ -49,7 +49,7 @@ impl Splatting {
         self.resident_on(self.gpu(setup)?, setup)
     }
 
-    /// As [`Self::resident`], on this GPU.
+    /// Returns the steps on `gpu`, as [`Self::resident`].
     pub(super) fn resident_on<'a>(&'a self, gpu: &'a Gpu, setup: &MeasurementSetup) -> Option<ResidentSplatting<'a>> {
         let (mercator, readout) = self.gpu_parts(setup).ok()?;
         let deformation: &dyn Any = self.deformation.get();
@@ -72,12 +72,12 @@ impl DeviceStepper for ResidentSplatting<'_> {
             let mut results = step.finish()?;
             let after = results.split_off(results.len() - STATE_READS);
             // Results after lists that did not fit are not valid.
-            let overflow = results.chunks_exact(LINK_READS).find(|of_link| of_link[0][0] > entries as Real);
-            let Some(of_link) = overflow else {
+            let overflow = results.chunks_exact(LINK_READS).find(|link| link[0][0] > entries as Real);
+            let Some(link) = overflow else {
                 write_state(&after, state);
                 return Ok(plan.losses(&results));
             };
-            entries = Drawing::entry_count(&of_link[0])?;
+            entries = Drawing::entry_count(&link[0])?;
         }
     }
 }
@@ -123,9 +123,9 @@ impl ResidentSplatting<'_> {
         let mut sizes = plan.network.sizes();
         let mut drawing = Vec::new();
         for step in plan.steps {
-            let of_step = self.shape(&plan.resident, step).sizes(Some(entries));
-            drawing.resize(of_step.len(), 0);
-            drawing.iter_mut().zip(of_step).for_each(|(most, size)| *most = size.max(*most));
+            let step_sizes = self.shape(&plan.resident, step).sizes(Some(entries));
+            drawing.resize(step_sizes.len(), 0);
+            drawing.iter_mut().zip(step_sizes).for_each(|(most, size)| *most = size.max(*most));
         }
         sizes.extend(drawing);
         sizes.extend(plan.resident.sizes(plan.inputs.len()));
@@ -142,13 +142,13 @@ impl ResidentSplatting<'_> {
     /// Records the `index`-th step, with [`LINK_READS`] results per link, and sends it to the GPU.
     fn record(&self, step: &mut GpuStep<'_>, plan: &Plan<'_>, index: usize) {
         let Plan { network, resident, steps, offsets, .. } = plan;
-        let (of_step, offsets) = (&steps[index], &offsets[index]);
-        let (shape, links) = (self.shape(resident, of_step), of_step.links.pairs.len());
+        let (device_step, offsets) = (&steps[index], &offsets[index]);
+        let (shape, links) = (self.shape(resident, device_step), device_step.links.pairs.len());
         let (inputs, drawing) = (resident.slot(INPUTS), resident.drawing);
         step.clear(resident.slot(D_STATE), resident.parameters());
         step.copy_numbers((inputs, offsets.constants), drawing + VIEW, VIEW_LEN);
         step.copy_numbers((inputs, offsets.constants + VIEW_LEN), drawing + LOSS, LOSS_LEN);
-        resident.sort(step, view_of(of_step).pose.position.map(|x| x as Real));
+        resident.sort(step, view_of(device_step).pose.position.map(|x| x as Real));
         resident.arrange_cloud(step);
         network.begin(step);
         for link in 0..links {
@@ -156,23 +156,23 @@ impl ResidentSplatting<'_> {
             network.forward(step, tx);
             resident.arrange_heads(step);
             step.copy_numbers((inputs, offsets.truths + link * shape.pixels()), drawing + TRUTHS, shape.pixels());
-            step.with_base(drawing, |step| draw_and_differentiate(step, &shape, of_step));
+            step.with_base(drawing, |step| draw_and_differentiate(step, &shape, device_step));
             resident.scatter(step, shape.size, links);
             network.backward(step, tx);
         }
         network.end(step);
-        plan.update(step, of_step);
+        plan.update(step, device_step);
         step.send();
     }
 }
 
 impl Plan<'_> {
     /// Records the updates of all columns of the Gaussians and of the weights.
-    fn update(&self, step: &mut GpuStep<'_>, of_step: &DeviceStep) {
+    fn update(&self, step: &mut GpuStep<'_>, device_step: &DeviceStep) {
         let Self { resident, network, .. } = self;
         let mut start = 0;
         // Widths of means, log scales, rotations, opacity logits and signals.
-        for (update, width) in of_step.columns.iter().zip([3, 3, 4, 1, 2]) {
+        for (update, width) in device_step.columns.iter().zip([3, 3, 4, 1, 2]) {
             let end = start + width * resident.gaussians;
             if let Some(update) = update {
                 let state = (resident.slot(STATE), resident.parameters());
@@ -180,7 +180,7 @@ impl Plan<'_> {
             }
             start = end;
         }
-        for (range, update) in &of_step.weights {
+        for (range, update) in &device_step.weights {
             let weights = (ResidentMlp::WEIGHTS, network.weight_count());
             step.adam(weights, ResidentMlp::D_WEIGHTS, range.clone(), update);
         }
@@ -188,11 +188,11 @@ impl Plan<'_> {
 
     /// Returns the loss of each step, given the results of all links.
     fn losses(&self, results: &[Vec<Real>]) -> Vec<Real> {
-        let mut of_links = results.chunks_exact(LINK_READS);
+        let mut links = results.chunks_exact(LINK_READS);
         let one = |(step, offsets): (&DeviceStep, &StepOffsets)| {
             let shares = &self.inputs[offsets.transmitters - 2..]; // of `loss_shares`, the last constants
-            let sums = of_links.by_ref().take(step.links.pairs.len());
-            sums.map(|of_link| shares[0] * of_link[1][0] + shares[1] * of_link[1][1]).sum()
+            let sums = links.by_ref().take(step.links.pairs.len());
+            sums.map(|link| shares[0] * link[1][0] + shares[1] * link[1][1]).sum()
         };
         self.steps.iter().zip(&self.offsets).map(one).collect()
     }
@@ -204,11 +204,11 @@ fn view_of(step: &DeviceStep) -> ReceiverView {
 }
 
 /// Records drawing, loss and their derivatives for a link, and requests the [`LINK_READS`] results.
-fn draw_and_differentiate(step: &mut GpuStep<'_>, shape: &Drawing, of_step: &DeviceStep) {
+fn draw_and_differentiate(step: &mut GpuStep<'_>, shape: &Drawing, device_step: &DeviceStep) {
     shape.project(step);
     shape.blend(step);
     shape.read_out(step);
-    shape.loss(step, of_step.is_squared, of_step.ssim.0 > 0.0);
+    shape.loss(step, device_step.is_squared, device_step.ssim.0 > 0.0);
     shape.read_out_vjp(step);
     shape.blend_vjp(step);
     shape.project_vjp(step);

@@ -24,7 +24,7 @@ impl SurveyRequest<'_> {
 }
 
 impl Splatting {
-    /// Collects the requested statistics of all links of the call, summed over the links.
+    /// Collects the requested statistics of all links of the call, merged by [`PassStatistics::merge`].
     pub(super) fn run_survey(&self, request: &SurveyRequest<'_>) -> PassStatistics {
         let SurveyRequest { call, needs, .. } = *request;
         let Call { setup, parameters: p, links, .. } = call;
