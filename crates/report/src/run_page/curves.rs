@@ -16,7 +16,7 @@ const MODEL_COLOUR: Colour = Colour::hex(0x18_4ea3);
 const BASELINE_COLOURS: [u32; 8] =
     [0x78_7c84, 0xe6_9f00, 0x00_9e73, 0xcc_79a7, 0xd5_5e00, 0x10_1318, 0x96_8200, 0x56_b4e9];
 
-/// Maximum number of baselines in a chart, so that it has at most six curves.
+/// Maximum number of baselines in a chart, so that it has at most six curves; `run.html` prints it.
 const BASELINES: usize = 5;
 
 /// Returns the index of a baseline in the table of scores; `None` for the model and its members.
@@ -36,8 +36,8 @@ fn predictor_style(run: &LoadedRun<'_>, name: &str) -> Style {
     }
 }
 
-/// Selects the `most` best entries, in their order; an oracle baseline only if too few others exist. `name_and_score` returns
-/// the predictor of an entry and its score by the first metric.
+/// Selects the `most` best entries, without a change of their order; an oracle baseline only if too few others exist.
+/// `name_and_score` returns the predictor of an entry and its score by the first metric.
 fn select_best<T>(
     run: &LoadedRun<'_>,
     entries: Vec<T>,
@@ -94,14 +94,15 @@ fn reliability_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     draw_figure("Prediction intervals: coverage of the test set", &chart)
 }
 
-/// Returns the chart over the steps with the three phases of algorithm 1 shaded.
+/// Creates a chart of `lines` over the training steps, with the three phases of the training shaded; its vertical axis is
+/// logarithmic if `log`.
 fn chart_over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<ChartLine>) -> Chart {
     let training = &run.record.pipeline.training;
     let x = ChartAxis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
     Chart { x, y: ChartAxis { log, ..ChartAxis::default() }, bands: phase_bands(training), lines, ..Chart::default() }
 }
 
-/// Returns a solid line without marks.
+/// Creates a solid line without marks.
 fn solid_line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine {
     ChartLine::new(points, Style::line(colour, width, Stroke::FULL))
 }
@@ -154,6 +155,7 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     ];
     let task = run.data.task();
     let baselines = run.record.facts.validation_baselines.iter().collect();
+    // The model has two curves here.
     let shown = select_best(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
     for (name, mean) in shown {
         lines.push(ChartLine::horizontal(*mean, predictor_style(run, name)).named(name));
@@ -162,11 +164,11 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     draw_figure(title, &chart_over_steps(run, false, lines))
 }
 
-/// Number of groups of test samples by spread.
+/// Number of groups of test samples by spread; `run.html` prints it.
 const GROUPS: usize = 10;
 
-/// Returns the error against the spread of an ensemble: median and range from the 10th to the 90th percentile of groups
-/// of equal numbers of test samples, with their rank correlation. `None` for a single model.
+/// Draws the error of an ensemble against the spread of its members: median, and range from the 10th to the 90th percentile, of
+/// groups of equal numbers of test samples. Returns it with the rank correlation of both; `None` for a single model.
 pub(super) fn confidence_chart(run: &LoadedRun<'_>) -> Option<Value> {
     let measured = run.record.confidence.as_ref()?;
     let groups = measured.group_by_spread(GROUPS);
@@ -215,7 +217,7 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let shown = select_best(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
     let sorted = [models, shown].concat();
     let ends = axis_ends(&headline, &sorted);
-    let (mut lines, mut members) = (Vec::new(), Some("members")); // all members share one name
+    let (mut lines, mut members) = (Vec::new(), Some("members")); // only the first member has a name, which stands for all
     for (name, sorted) in &sorted {
         let stride = sorted.len().div_ceil(MOST_POINTS).max(1);
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
@@ -235,9 +237,10 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     draw_figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
-/// Returns the ends of the axis of a metric for these `sorted` values, rounded outwards. One end is the best possible
-/// value. The other contains all values of a metric such as SSIM, down to minus the best, or a share of [`INSIDE`] of
-/// each predictor for an error. Without a best possible value, only the lowest values beyond that share are outside.
+/// Returns the ends of the axis of a metric for the `sorted` values of each predictor, rounded outwards:
+/// - SSIM: from the lowest value, but not below minus the best possible one, to the best possible one;
+/// - error: from the best possible value to that above the share [`INSIDE`] of each predictor, at least 1;
+/// - SNR, which has no best value: from that below the share [`INSIDE`] to the highest; −1 to 1 without a range.
 fn axis_ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match (headline.best, headline.higher) {

@@ -35,8 +35,8 @@ impl Example {
     }
 }
 
-/// Chooses the best, median and worst test link of a run, without repetition; none without test samples. They are predicted
-/// again, which gives identical bits.
+/// Chooses the best, median and worst test link of a run by the first metric, without repetition; none without test samples.
+/// They are predicted again, which gives identical bits.
 ///
 /// # Errors
 /// An observation that cannot be read.
@@ -82,8 +82,8 @@ pub(super) fn for_each_link(run: &LoadedRun<'_>, links: &[usize], mut visit: imp
     }
 }
 
-/// Draws truth, prediction and error of the `chosen` spectra, and returns them with their common error limit; none for other
-/// tasks.
+/// Draws truth, prediction and error of the `chosen` spectra, none for other tasks. Also returns the common limit of the errors:
+/// the largest, rounded up to a multiple of 0.1.
 pub(super) fn spectra_panels(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
     let chosen = if run.data.task().has_pixels { chosen } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| image_difference(&e.prediction.clamped(), &e.truth)).collect();
@@ -120,7 +120,7 @@ fn image_difference(a: &Image, b: &Image) -> Image {
     Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(a, b)| a - b).collect() }
 }
 
-/// Describes the strongest directions, azimuth and elevation in degrees; empty if the plane has no angles.
+/// Describes the strongest true and predicted direction, azimuth and elevation in degrees; empty if the plane has no angles.
 fn describe_peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
     let plane = run.model.plane();
     let direction = |image: &Image| {

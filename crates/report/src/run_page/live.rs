@@ -28,8 +28,8 @@ const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 /// Last statement of the script.
 const START: &str = "startReport();\n";
 
-/// Returns the values of the interactive part for the template: always the script, which also sorts tables; the stage only
-/// with transmitter positions and a test set.
+/// Returns the values of the interactive part for `live.html`: always the script, which also sorts tables, and its hash; the
+/// stage with its data only with transmitter positions and a test set.
 pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
     let digest = script_hash(&script);
@@ -67,7 +67,7 @@ fn encode_base64(bytes: &[u8]) -> String {
     STANDARD.encode(bytes)
 }
 
-/// Returns whether the Gaussians are few enough for a page.
+/// Returns whether there are Gaussians, and few enough for a page.
 fn has_few_gaussians(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
@@ -133,7 +133,7 @@ fn scored_links<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)
     run.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
 }
 
-/// Returns the room with `links` and the properties of the model, for the page.
+/// Returns the room with `links` and the properties of the model, as the viewer describes a side, for the page.
 fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     let mut scores = vec![f64::NAN; run.data.len()];
     scored_links(run).for_each(|(i, score)| scores[i] = score);
@@ -152,8 +152,8 @@ fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     tensors
 }
 
-/// Returns the measurement of each selected link and, unless the page predicts, its prediction. Spectra have 8 bits per
-/// pixel; powers are those of all receivers. Named by index in `links`.
+/// Returns the measurement of each `chosen` link and, if `predicted`, its prediction: `truth.K` and `predicted.K`, where K is its
+/// index in `links`. Spectra have 8 bits per pixel; powers are those of all receivers.
 fn observation_tensors(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
     let LoadedRun { data, model, .. } = run;
     let indices: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();

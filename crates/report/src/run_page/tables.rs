@@ -4,11 +4,12 @@ use minijinja::{Value, context};
 use pwrfgs_experiment::scores::{MetricRow, ScoreCell, ScoreTable};
 use pwrfgs_experiment::{LoadedRun, statistics::Summary, text::number};
 
-/// Maximum number of columns of numbers in a table: more leave the page at 1,200 pixels.
+/// Maximum number of columns of numbers in a further table: more leave the page at 1,200 pixels.
 const COLUMNS: usize = 9;
 
-/// Returns the score tables, each as groups of columns, one group per metric that several predictors have: first the main
-/// metrics of the task, of which only the first one has its median and percentile, then all metrics that this leaves out.
+/// Returns the score tables, each as groups of columns, one group per metric of test samples or of several predictors. The first
+/// table has the main metrics of the task: of the first metric mean, median and percentile, of others the mean. Further tables
+/// have all columns of the metrics of which the first leaves out a column.
 pub(super) fn score_tables(scores: &ScoreTable) -> Vec<Vec<Value>> {
     let is_shared =
         |row: &&MetricRow| row.is_per_sample() || row.cells.iter().filter(|c| !c.numbers().is_empty()).count() > 1;
@@ -33,7 +34,7 @@ pub(super) fn score_tables(scores: &ScoreTable) -> Vec<Vec<Value>> {
     tables
 }
 
-/// Returns key and value of the model by each metric of whole models, or why there is none.
+/// Returns the key of each metric of whole models, and the value of the model with its unit, or why it has none.
 pub(super) fn whole_values(scores: &ScoreTable) -> Vec<(String, String)> {
     let value = |row: &MetricRow| {
         let text = match row.cells.first()? {
@@ -45,7 +46,8 @@ pub(super) fn whole_values(scores: &ScoreTable) -> Vec<(String, String)> {
     scores.metrics.iter().filter(|row| !row.is_per_sample()).filter_map(value).collect()
 }
 
-/// Returns the first `count` columns of one metric for the template: titles, numbers and marks.
+/// Returns the first `count` columns of one metric for the template, in the order of [`ScoreCell::numbers`]: titles, numbers
+/// and marks.
 fn column_group(scores: &ScoreTable, metric: &MetricRow, count: usize) -> Value {
     let (key, unit, samples) = (metric.key.clone(), metric.unit.clone(), metric.is_per_sample());
     let columns: &'static [&'static str] = match (samples, metric.higher_is_better) {
@@ -63,8 +65,9 @@ fn column_group(scores: &ScoreTable, metric: &MetricRow, count: usize) -> Value 
     }
 }
 
-/// Formats the first `columns` statistics of each predictor by one metric, each with the mark `best`, `second`, `none`
-/// without a number, or no mark. A predictor that is level with the best one is marked as best too.
+/// Formats the first `columns` statistics of each predictor by one metric, each with a class of `style.css`: `best`, `second`,
+/// `none` without a number, or empty. Means of the model and a baseline of which one is best are both `best` if they are
+/// level.
 fn marked_rows(scores: &ScoreTable, metric: &MetricRow, columns: usize) -> Vec<Vec<(String, &'static str)>> {
     let ranks: Vec<Vec<Option<usize>>> = (0..columns).map(|k| scores.ranks(metric, k)).collect();
     // A single number is not marked.
@@ -93,7 +96,7 @@ fn marked_rows(scores: &ScoreTable, metric: &MetricRow, columns: usize) -> Vec<V
 const ROWS: usize = 60;
 
 /// Returns the mean and median of the first metric over the test links of each receiver; `None` for a single receiver,
-/// or if no predictor has per-sample values.
+/// without test links, or if no predictor has per-sample values.
 pub(super) fn receiver_table(run: &LoadedRun<'_>) -> Option<Value> {
     let (data, scores) = (run.data, &run.record.scores);
     let headline = data.task().headline;
@@ -126,8 +129,8 @@ pub(super) fn receiver_table(run: &LoadedRun<'_>) -> Option<Value> {
     })
 }
 
-/// Formats mean and median of each of `predictors` (name and values per test sample) over `samples`, positions in these values,
-/// each with its mark.
+/// Formats mean and median of each of `predictors` (name and values per test sample) over `samples`, indices of these values,
+/// each with the mark of the best. `higher`: larger is better.
 fn receiver_cells(predictors: &[(&String, &[f64])], samples: &[usize], higher: bool) -> Vec<(String, &'static str)> {
     let summary = |(_, values): &(&String, &[f64])| {
         let scores: Vec<f64> = samples.iter().filter_map(|&k| values.get(k).copied()).collect();
