@@ -189,6 +189,7 @@ impl Reader<'_> {
         let variants = schema.get("properties").and_then(Value::as_object);
         let with_fields = |(name, content): (&String, &Value)| {
             let named = content.get("properties").is_some();
+            // The schema of a single unnamed field stands for the variant.
             let unnamed = match content.get("prefixItems").and_then(Value::as_array) {
                 Some(items) => &items[..],
                 None => std::slice::from_ref(content),

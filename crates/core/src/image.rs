@@ -283,18 +283,19 @@ pub mod stretch {
     /// Returns the smallest and largest value; zeros if empty. NaN is ignored, unless it is the first value: then
     /// both are NaN.
     pub fn range(values: &[Real]) -> (Real, Real) {
+        const LANES: usize = 16; // compared at once
         let first = values.first().copied().unwrap_or(0.0);
-        let (mut low, mut high) = ([first; 16], [first; 16]);
+        let (mut low, mut high) = ([first; LANES], [first; LANES]);
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                let (chunks, remainder) = values.as_chunks::<16>();
+                let (chunks, remainder) = values.as_chunks::<LANES>();
                 let mut widen = |lane: usize, v: Real| {
                     low[lane] = if v < low[lane] { v } else { low[lane] };
                     high[lane] = if v > high[lane] { v } else { high[lane] };
                 };
                 for chunk in chunks {
-                    for lane in 0..16 {
+                    for lane in 0..LANES {
                         widen(lane, chunk[lane]);
                     }
                 }

@@ -88,7 +88,7 @@ impl PartialFolder {
 
     /// Removes the folder of a request that cannot succeed, so that the next start begins anew.
     pub fn discard(self) {
-        let _ = fs::remove_dir_all(&self.path); // the next start then reports its content
+        let _ = fs::remove_dir_all(&self.path); // if this fails, the next start reports its content
     }
 }
 
