@@ -190,7 +190,7 @@ impl Fingerprints {
         Self { positions: kept.iter().map(|k| self.positions[*k]).collect(), values, weights, width: self.width }
     }
 
-    /// Returns the indices and misfits of the `count` fingerprints of least misfit, least first, ties in the order of the
+    /// Returns the indices and misfits of up to `count` fingerprints of least misfit, least first, ties in the order of the
     /// positions. The misfit is the weighted mean squared difference from an observation `[D]` over the features that both
     /// contain; it is infinite without a common feature, and at the position `left_out`.
     pub(crate) fn nearest(&self, observation: &[f32], count: usize, left_out: Option<[f64; 3]>) -> Vec<(u32, f32)> {

@@ -79,7 +79,7 @@ impl Simulated {
         let mut data = if is_single {
             Arrays { root: folder.to_owned(), points, elevation: None }.load(Path::new(""), &|_, _| {})?
         } else {
-            link_dataset(recipe, folder, points)?
+            read_link_dataset(recipe, folder, points)?
         };
         let links = recipe.samples * recipe.scene.carrier_count();
         if (is_single && data.len() != links) || data.scene.points.len() != self.points {
@@ -93,7 +93,7 @@ impl Simulated {
 
 /// Reads the data set of all received links of all receivers; `points` is the file of the point cloud, if any. Returns an
 /// error if there are no such links.
-fn link_dataset(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
+fn read_link_dataset(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
     let receivers: Vec<Receiver> = scene.receivers().map(|receiver| dataset_receiver(scene, receiver)).collect();
     let (poses, mut observations) = read_poses_and_observations(recipe, folder)?;

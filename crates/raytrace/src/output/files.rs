@@ -193,14 +193,14 @@ impl DatasetFiles {
         let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first_id());
         self.positions.text += &row.repeat(rows);
         for (receiver, observation) in received.iter().enumerate() {
-            // Each of several carriers has its own receiver and its own row.
+            // Each of several carriers has a separate receiver and row.
             let id = i * rows + first + if rows == 1 { 0 } else { receiver };
             if let Some((table, file)) = self.paths.get_mut(receiver) {
-                file.append(table.transmitter_rows(id, &observation.paths).as_bytes())?;
+                file.append(table.format_rows(id, &observation.paths).as_bytes())?;
             }
             self.add_observation(id, &observation.observed)?;
             if let Some(table) = &mut self.table {
-                table.text += &table_cells(id, &observation.observed, receiver + 1 == received.len());
+                table.text += &format_cells(id, &observation.observed, receiver + 1 == received.len());
             }
         }
         Ok(())
@@ -281,9 +281,9 @@ fn create_metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFi
     }
 }
 
-/// Returns the text of an observation in the table of [`DatasetFiles::create`]: row `id` of absolute powers of a spectrum, or
+/// Formats an observation for the table of [`DatasetFiles::create`]: row `id` of absolute powers of a spectrum, or
 /// a cell of received power, the last of its row if `is_last`; empty for a channel.
-fn table_cells(id: usize, observed: &SimulatedObservation, is_last: bool) -> String {
+fn format_cells(id: usize, observed: &SimulatedObservation, is_last: bool) -> String {
     match observed {
         SimulatedObservation::Spectrum(spectrum) => {
             let decibel = 10.0 * spectrum.power.log10();

@@ -45,10 +45,10 @@ pub fn export_scene(scene: &SceneFile, out: &Path) -> Result<usize> {
         let mut candidates = iter::once(base.clone()).chain((2..).map(|k| format!("{base}-{k}")));
         let id = candidates.find(|id| ids.insert(id.to_lowercase())).expect("numbers do not end");
         let file = format!("meshes/{id}.ply");
-        write_atomically(&new_folder.path().join(&file), ply_text(triangles.map(Triangle::corners)).as_bytes())?;
+        write_atomically(&new_folder.path().join(&file), format_ply(triangles.map(Triangle::corners)).as_bytes())?;
         let (source, flat) =
-            (property_xml("string", "filename", &file), property_xml("boolean", "face_normals", &true));
-        let bsdf = bsdf_xml(scene, &id, finish);
+            (format_property("string", "filename", &file), format_property("boolean", "face_normals", &true));
+        let bsdf = format_bsdf(scene, &id, finish);
         writeln!(shapes, "    <shape type=\"ply\" id=\"{id}\">\n{source}{flat}{bsdf}    </shape>").expect("text grows");
     }
     let head =
@@ -84,33 +84,33 @@ fn plain_name(name: &str) -> String {
     if joined.is_empty() { "object".into() } else { joined.chars().take(LONGEST).collect() }
 }
 
-/// Returns the XML of a property element, one line.
-fn property_xml(kind: &str, name: &str, value: &dyn Display) -> String {
+/// Formats a property element of XML as one line.
+fn format_property(kind: &str, name: &str, value: &dyn Display) -> String {
     format!("        <{kind} name=\"{name}\" value=\"{value}\"/>\n")
 }
 
-/// Returns the XML of the material of the shape `id`.
-fn bsdf_xml(scene: &SceneFile, id: &str, finish: &Finish) -> String {
+/// Formats the material of the shape `id` as an element of XML.
+fn format_bsdf(scene: &SceneFile, id: &str, finish: &Finish) -> String {
     let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
     let is_itu = !scene.materials.contains_key(&finish.material)
         && material.is_in_valid_range(scene.carrier_hz)
         && !material::ONLY_HERE.contains(&&*finish.material);
     let (permittivity, conductivity) = material.constants(scene.carrier_hz);
     let (kind, constants) = if is_itu {
-        ("itu-radio-material", property_xml("string", "type", &finish.material))
+        ("itu-radio-material", format_property("string", "type", &finish.material))
     } else {
-        let conductivity = property_xml("float", "conductivity", &conductivity.min(MOST_CONDUCTIVITY));
-        ("radio-material", property_xml("float", "relative_permittivity", &permittivity) + &conductivity)
+        let conductivity = format_property("float", "conductivity", &conductivity.min(MOST_CONDUCTIVITY));
+        ("radio-material", format_property("float", "relative_permittivity", &permittivity) + &conductivity)
     };
     // Waves do not reach the far side of a solid.
-    let thickness = property_xml("float", "thickness", &finish.thickness_m.unwrap_or(THICKEST));
+    let thickness = format_property("float", "thickness", &finish.thickness_m.unwrap_or(THICKEST));
     let roughness = finish.roughness.unwrap_or(scene.propagation.roughness);
-    let roughness = property_xml("float", "scattering_coefficient", &roughness);
+    let roughness = format_property("float", "scattering_coefficient", &roughness);
     format!("        <bsdf type=\"{kind}\" id=\"material-{id}\">\n{constants}{thickness}{roughness}        </bsdf>\n")
 }
 
-/// Returns the triangles as a PLY text with shared vertices, rounded to 1 nm.
-fn ply_text(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
+/// Formats the triangles as a PLY text with shared vertices, rounded to 1 nm.
+fn format_ply(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
     let (mut indices, mut vertices, mut faces, mut count) = (BTreeMap::new(), String::new(), String::new(), 0);
     for corners in triangles {
         let [a, b, c] = corners.map(|corner| {

@@ -32,31 +32,26 @@ impl PathTable {
         Self { receiver_from_world: world_from_receiver.transpose(), faces, edges }
     }
 
-    /// Returns the rows of transmitter `id` as text, one line per path, with the columns of [`Self::HEADER`].
-    pub(crate) fn transmitter_rows(&self, id: usize, paths: &[PropagationPath]) -> String {
+    /// Formats the rows of transmitter `id`, one line per path, with the columns of [`Self::HEADER`].
+    pub(crate) fn format_rows(&self, id: usize, paths: &[PropagationPath]) -> String {
         let mut text = String::new();
         for (i, path) in paths.iter().enumerate() {
             let letters: String = path.interactions.iter().map(interaction_letter).collect();
             let letters = if letters.is_empty() { "LOS" } else { &letters };
             let names: Vec<&str> =
                 path.interactions.iter().map(|interaction| self.obstacle_name(interaction)).collect();
-            let [departure, arrival] = [path.departure, path.arrival].map(azimuth_elevation_deg);
-            let shown = azimuth_elevation_deg(self.receiver_from_world * path.arrival);
+            let directions = [path.departure, path.arrival, self.receiver_from_world * path.arrival];
+            let angles = directions.map(azimuth_elevation_deg);
+            let angles = angles.map(|(azimuth, elevation)| format!("{azimuth:.4},{elevation:.4}")).join(",");
             writeln!(
                 text,
-                "{id},{},{letters},{:.6e},{:.6e},{:.3},{:.5},{:.6},{:.4},{:.4},{:.4},{:.4},{:.4},{:.4},\"{}\"",
+                "{id},{},{letters},{:.6e},{:.6e},{:.3},{:.5},{:.6},{angles},\"{}\"",
                 i + 1,
                 path.gain.re,
                 path.gain.im,
                 20.0 * path.gain.norm().log10(),
                 path.delay() * 1e9,
                 path.length,
-                departure.0,
-                departure.1,
-                arrival.0,
-                arrival.1,
-                shown.0,
-                shown.1,
                 cell(&names.join(">")).replace('"', "\"\"")
             )
             .expect("text grows");
