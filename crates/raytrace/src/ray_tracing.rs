@@ -52,7 +52,7 @@ impl RayTracing {
     /// Describes the scene of the baseline and its errors in a note below a table of this task. `is_oracle`: the scene is
     /// that of the data.
     fn describe_scene(&self, is_oracle: bool, task: Task) -> String {
-        let things = task.plural;
+        let plural = task.plural;
         let content = match (&self.scene, self.is_exact() && is_oracle) {
             (_, true) => {
                 let errors = if self.noise {
@@ -60,12 +60,12 @@ impl RayTracing {
                 } else {
                     "without receiver errors"
                 };
-                format!("the generator of these simulated {things}, {errors}: an oracle baseline and upper bound")
+                format!("the generator of these simulated {plural}, {errors}: an oracle baseline and upper bound")
             }
             (scene, false) => {
                 let scene = scene
                     .as_ref()
-                    .map_or_else(|| format!("the scene of these simulated {things}"), |p| p.display().to_string());
+                    .map_or_else(|| format!("the scene of these simulated {plural}"), |p| p.display().to_string());
                 format!(
                     "ray tracing in {scene}, material constants off by {:.0} % and positions by {:.0} cm (one standard \
                      deviation, one draw)",

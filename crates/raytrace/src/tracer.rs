@@ -216,8 +216,8 @@ impl TraceWalk<'_> {
         let (to_tx, to_rx) = (self.tx - point, self.rx - point);
         let (phi_in, phi_out) = (angle(to_tx), angle(to_rx));
         let sine = direction.cross(to_tx).length() / to_tx.length();
-        let whole = edge.outer_angle * PI;
-        if phi_in >= whole || phi_out >= whole || sine < ALONG {
+        let outer_angle = edge.outer_angle * PI;
+        if phi_in >= outer_angle || phi_out >= outer_angle || sine < ALONG {
             return None;
         }
         // The smaller of the two angles on either face: exact at reflection boundaries and reciprocal (El-Sallabi and
@@ -225,7 +225,7 @@ impl TraceWalk<'_> {
         let cosine = |grazing: f64| (grazing.sin() * sine).abs();
         let beside = edge.inward_directions().map(|inwards| point + BESIDE * inwards);
         let (r0, t0) = self.face_coefficients(edge.faces[0], beside[0], cosine(phi_in.min(phi_out)));
-        let (rn, tn) = self.face_coefficients(edge.faces[1], beside[1], cosine(whole - phi_in.max(phi_out)));
+        let (rn, tn) = self.face_coefficients(edge.faces[1], beside[1], cosine(outer_angle - phi_in.max(phi_out)));
         // The rim of a sheet has one sheet behind it, an edge of two faces has both.
         let is_rim = edge.faces[0] == edge.faces[1];
         let through = if is_rim { t0 } else { t0.times(tn) };

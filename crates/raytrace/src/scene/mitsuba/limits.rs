@@ -20,7 +20,7 @@ pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
         let tag = text[start + 1..].split('<').next().unwrap_or_default();
         namespaces += tag.matches("xmlns").count();
         let attributes = if tag.starts_with(['!', '?']) { 0 } else { tag.matches('=').count() };
-        let (most, things) = if i >= MOST_TAGS {
+        let (most, items) = if i >= MOST_TAGS {
             (MOST_TAGS, "tags")
         } else if attributes > MOST_ATTRIBUTES {
             (MOST_ATTRIBUTES, "attributes")
@@ -30,7 +30,7 @@ pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
             continue;
         };
         let (line, before) = text[..start].split('\n').enumerate().last().unwrap_or_default();
-        let problem = format!("more than {most} {things}; cut out a part of the scene");
+        let problem = format!("more than {most} {items}; cut out a part of the scene");
         return Err(Error::at(path, line + 1, before.chars().count() + 1, problem));
     }
     Ok(())

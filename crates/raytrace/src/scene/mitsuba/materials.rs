@@ -60,7 +60,7 @@ impl<'a> Reader<'a> {
         finish.map_or_else(|| self.read_material(node, scene), Ok)
     }
 
-    /// Reads a `bsdf` element: adds its finish to `finishes`, and a material with constants of its own to `scene`. Returns
+    /// Reads a `bsdf` element: adds its finish to `finishes`, and a material that states constants to `scene`. Returns
     /// an error unless it is a radio material or one of the scene file, and for an invalid property.
     fn read_material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
