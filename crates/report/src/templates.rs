@@ -62,13 +62,16 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
 /// Renders the built-in template `name`.
 ///
 /// # Errors
-/// A value that the template needs is missing.
+/// A filter or an attribute of a missing value. A missing value itself is printed as empty text.
 pub(crate) fn render(name: &str, context: Value) -> Result<String> {
     let filled = ENVIRONMENT.get_template(name).and_then(|template| template.render(context));
     filled.map_err(|e| Error::Config(format!("template {name}: {e:#}")))
 }
 
-/// Renders a built-in template as sentences, one per line.
+/// Renders a built-in template of plain text as sentences, one per line.
+///
+/// # Panics
+/// If [`render`] returns an error.
 pub(crate) fn render_sentences(name: &str, context: Value) -> Vec<String> {
     let text = render(name, context).expect("its context is complete, as tests check");
     text.lines().map(str::to_owned).collect()
@@ -86,7 +89,7 @@ const SYMBOLS: &str = r"
     √ \surd ∈ \in Δ \Delta Σ \Sigma Ω \Omega Φ \Phi α \alpha β \beta γ \gamma δ \delta ε \varepsilon η \eta θ \theta
     λ \lambda μ \mu µ \mu ν \nu π \pi ρ \rho σ \sigma τ \tau φ \varphi ψ \psi ω \omega ¹ ^1 ⁻ ^-";
 
-/// Finds the value of the key `c` in a list of pairs of words; `None` without such a pair.
+/// Finds the replacement of `c` in a list of words, each character followed by its replacement; `None` if it is not listed.
 fn find_replacement(list: &'static str, c: char) -> Option<&'static str> {
     let mut words = list.split_whitespace();
     while let (Some(key), Some(value)) = (words.next(), words.next()) {
@@ -128,6 +131,13 @@ mod tests {
         let nowhere = context! { edge => None::<String>, observations => "channels", ..words };
         let message = render_sentences("legend.txt", nowhere);
         assert!(message[1].contains("single channels (20), because positions are unknown"), "{message:#?}");
+    }
+
+    #[test]
+    fn legend_of_ranks_counts_methods_and_seeds() {
+        let words = context! { name => "ranks", families => 5, least => 1, most => 3 };
+        let message = render_sentences("legend.txt", words);
+        assert!(message[0].contains("among the 5 methods") && message[0].contains("1 to 3 seeds"), "{message:#?}");
     }
 
     #[test]

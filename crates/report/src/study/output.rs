@@ -31,13 +31,13 @@ struct FileList {
 }
 
 /// Writes the report of a study into `out`: `report.csv`, `report.tex` with `tables/`, `report.html` and
-/// `figures/`. Returns the tables as text for a terminal. Paired differences are from the variant or baseline
-/// `reference`, or from the first variant of each setting; `options` also choose columns and curves.
+/// `figures/`. Returns the tables as text for a terminal. `options` choose the reference of paired differences, columns of a
+/// table, and variants of the figures.
 ///
 /// Equal runs give equal bytes.
 ///
 /// # Errors
-/// If a name in the options does not exist, the folder is not a report, or a file cannot be written.
+/// If a name in the options does not exist, the folder is not a report or holds symbolic links, or a file cannot be written.
 pub fn write(study: &Study, options: &ReportOptions, out: &Path, observer: &mut dyn Observer) -> Result<String> {
     let check = || refuse_links(out).and_then(|()| read_list(out));
     check()?; // before the figures are drawn
@@ -149,8 +149,8 @@ fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     Ok(documents)
 }
 
-/// Returns the table for a template, with groups of neighbouring columns of one title and of lines of one kind. `printed` are the
-/// sentences in the legends of the tables above; the sentences of this legend that are new are `fresh`, and are added.
+/// Returns the table for a template, with groups of neighbouring columns of one title and of lines of one kind. `fresh` are the
+/// sentences of its legend that are not in `printed`, the legends of the tables above; they are added there.
 fn table_context<'a>(table: &'a Table, printed: &mut Vec<&'a str>) -> Value {
     let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !printed.contains(s)).collect();
     printed.extend(&fresh);
@@ -167,7 +167,7 @@ fn table_context<'a>(table: &'a Table, printed: &mut Vec<&'a str>) -> Value {
     }
 }
 
-/// Formats the tables of every setting that fit a terminal, with warnings and notes.
+/// Formats the tables of every setting that fit a terminal, with warnings and notes; then the runs that are left out.
 fn text_tables(page: &StudyPage) -> String {
     let mut out = String::new();
     for section in &page.sections {

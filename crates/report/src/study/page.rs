@@ -20,7 +20,7 @@ pub struct ReportOptions {
     /// Columns of the LaTeX table of scores, keys of `report.csv`, with `.median` or `.tail10` for a statistic other than
     /// the mean; empty: those of the page.
     pub columns: Vec<String>,
-    /// Variants and methods in the figures, at most 6; empty: the best.
+    /// Variants and methods in the figures, at most 6 (the curves of a figure); empty: the best.
     pub variants: Vec<String>,
 }
 
@@ -61,7 +61,8 @@ pub(super) struct Section {
 }
 
 impl StudyPage {
-    /// Creates the page of all settings of a study. Returns an error for an unknown name in `options`.
+    /// Creates the page of all settings of a study, and draws its figures; `observer` receives the progress. Returns an error for
+    /// an unknown name in `options`, or too many variants.
     pub(super) fn new(study: &Study, options: &ReportOptions, observer: &mut dyn Observer) -> Result<Self> {
         let comparisons: Vec<Comparison<'_>> = study.settings.iter().map(Comparison::new).collect();
         let reference = options.reference.as_deref();
@@ -90,7 +91,7 @@ impl StudyPage {
     }
 }
 
-/// Describes the folders that are left out for one `reason` in a line; `None` without any.
+/// Describes in a line the folders that are left out for a `reason`: the first, and the number of others; `None` without any.
 fn describe_left_out(folders: &[PathBuf], reason: &str) -> Option<String> {
     let (first, others) = folders.split_first()?;
     let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
@@ -123,7 +124,7 @@ fn check_columns(comparisons: &[Comparison<'_>], columns: &[String]) -> Result<(
 }
 
 impl Section {
-    /// Creates the section of a setting, number `index`, with its tables and the figures `drawn`.
+    /// Creates the section of a setting, number `index` from 0, with its tables and the figures `drawn`.
     fn new(index: usize, comparison: &Comparison<'_>, options: &ReportOptions, drawn: FigureSet) -> Self {
         let (setting, reference) = (comparison.setting, options.reference.as_deref());
         let named = reference.and_then(|label| comparison.row(label));
@@ -192,13 +193,13 @@ fn describe_machine(record: &Record) -> String {
     format!("{}, {} {threads} of {} cores, {}", machine.cpu, machine.threads, machine.cores, machine.system)
 }
 
-/// Describes the program of a run.
+/// Describes the program of a run: its version and the start of its commit, if known.
 fn describe_program(record: &Record) -> String {
     let id = record.facts.commit.as_ref().map(|id| id.chars().take(10).collect::<String>());
     format!("pwrfgs {}{}", record.facts.version, id.map_or_else(String::new, |id| format!(" at {id}")))
 }
 
-/// Returns the runs of a setting with seed, training, machine and folder, for the template.
+/// Returns the runs of a setting for the template: variant, seed, training, machine, program, time and folder.
 fn run_lines(setting: &Setting) -> Vec<Value> {
     let line = |variant: &str, record: &Record| {
         let facts = &record.facts;

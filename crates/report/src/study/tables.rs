@@ -70,7 +70,7 @@ pub(super) enum RankMark {
     Clear,
 }
 
-/// Returns the title `words` of a table, which marks simulated data.
+/// Returns the title of a table: `words`, and after them the mark of simulated data.
 fn table_title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
@@ -121,8 +121,8 @@ fn rank_cell(result: Option<(Spread, usize)>) -> FormattedValue {
     }
 }
 
-/// Returns the table of score and rank of each method at each number of Gaussians, best mean rank first; `None` without
-/// equal numbers.
+/// Returns the table of score and rank of each method at each number of Gaussians, best mean rank first; `None` if
+/// [`ParetoComparison::of`] finds too few methods with equal numbers.
 pub(super) fn rank_table(setting: &Setting) -> Option<Table> {
     let pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();

@@ -38,7 +38,7 @@ fn name_and_unit(metric: &MetricRow) -> (String, String) {
     (words, metric.unit.clone())
 }
 
-/// Returns the unit in which a column is printed and the factor to it, given its largest number.
+/// Returns the unit in which a column is printed, and the factor to it from `unit`. Times are in minutes if the largest has ten.
 fn printed_unit(unit: &str, largest: f64) -> (&str, f64) {
     match unit {
         "B" => ("kB", 1e-3),
@@ -47,7 +47,8 @@ fn printed_unit(unit: &str, largest: f64) -> (&str, f64) {
     }
 }
 
-/// Returns the number of decimals of a column: three digits of its `median`, at most three decimals; 0 for counts.
+/// Returns the number of decimals of a column: three digits of its `median` in the printed unit, at most three decimals; 0 for
+/// counts.
 fn column_decimals(metric: &MetricRow, median: f64) -> usize {
     if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || median >= 100.0 {
         0
@@ -69,6 +70,7 @@ fn table_column(
 ) -> Option<(TableColumn, Vec<FormattedValue>)> {
     let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
     let sizes = sorted(spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite()));
+    // Without finite numbers, such as a perfect PSNR, the size of the others does not matter.
     let largest = sizes.last().copied().or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
     let median = sizes.get(sizes.len() / 2).copied().unwrap_or(largest);
     let (words, unit) = name_and_unit(metric);
@@ -136,10 +138,10 @@ fn filled_columns(comparison: &Comparison<'_>, specs: &[ScoreColumn<'_>]) -> (Ve
     (columns.into_iter().map(|(column, _)| column).collect(), lines)
 }
 
-/// Values of the whole model that are shown first.
+/// Values of the whole model in the main table, before the times.
 const WHOLE: [&str; 4] = [SHARE, TRAINED_ON, "gaussians", "model_bytes"];
 
-/// Returns whether a metric is shown next to the first metric of its task.
+/// Returns whether a metric is shown beside the first metric of its task: η, SNR over all, and metrics of users.
 fn is_secondary_metric(metric: &MetricRow) -> bool {
     is_rate_ratio(&metric.key) || metric.key == "snr_all_db" || is_custom(&metric.key)
 }
@@ -154,8 +156,8 @@ const STAGES: [&str; 6] = [
     "latency_total_ms",
 ];
 
-/// Returns the main table: the first metric of the task, such as SSIM, then η, metrics of users, N, size, latency and training
-/// time. `None` without numbers.
+/// Returns the main table: all statistics of the first metric of the task, such as SSIM; the metrics beside it
+/// ([`is_secondary_metric`]); the values [`WHOLE`], latency and training time. `None` without numbers.
 pub(in super::super) fn score_table(comparison: &Comparison<'_>) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
