@@ -108,7 +108,7 @@ impl Dataset {
     /// [`Error::Config`] for invalid input:
     ///
     /// - IDs decrease, a link occurs twice, or one ID has two poses.
-    /// - The numbers of observations and samples differ, or an observation is not finite.
+    /// - The numbers of observations and samples differ, or a power or channel is not finite. Spectra are not checked.
     /// - Receivers are invalid ([`check_receivers`]), or a sample has an unknown receiver.
     /// - A position is not finite or beyond 1e8 m, or an orientation is not of length 1.
     pub fn of_links(

@@ -38,7 +38,7 @@ impl NewFolder {
     /// Begins the folder that will be `out`.
     ///
     /// # Errors
-    /// `out` is not empty, is a link or has no folder name, or writing fails.
+    /// `out` is a file, a link or a folder that is not empty, or has no folder name; writing fails.
     pub fn begin(out: &Path) -> Result<Self> {
         if let Some(_unused) = lock_unused(&out.join(LOCK)) {
             let _ = fs::remove_file(out.join(LOCK)); // the process was killed while it published the folder
@@ -137,7 +137,7 @@ pub(super) fn rename_to_target(path: &Path, out: &Path, marker: &str) -> Result<
     fs::remove_file(out.join(marker)).map_err(write_error)
 }
 
-/// Rejects a target that is not empty, is a link or has no folder name.
+/// Rejects a target that is a file, a link or a folder that is not empty, or has no folder name.
 pub(super) fn check_target(out: &Path) -> Result<()> {
     if out.file_name().is_none() || out.is_symlink() {
         return Err(Error::input(out, "is not a valid name for a new folder; choose another"));

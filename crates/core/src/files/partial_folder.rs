@@ -25,8 +25,8 @@ impl PartialFolder {
     /// each part of the request, such as `("positions", digest)`.
     ///
     /// # Errors
-    /// `out` is not empty, is a link or has no folder name; the partial folder holds other files, or had another request;
-    /// [`Error::Busy`] while another process fills it; writing fails.
+    /// `out` is a file, a link or a folder that is not empty, or has no folder name; the partial folder holds other files, or had
+    /// another request; [`Error::Busy`] while another process fills it; writing fails.
     pub fn begin(out: &Path, request: &[(&str, String)]) -> Result<Self> {
         if let Some(_unused) = lock_unused(&out.join(REQUEST)) {
             let _ = fs::remove_file(out.join(REQUEST)); // the process was killed while it published the folder
