@@ -89,7 +89,7 @@ impl SummaryStatistic {
         }
     }
 
-    /// Returns the heading of a column.
+    /// Returns the heading of a column with this statistic.
     pub(super) fn heading(self, higher_is_better: bool) -> &'static str {
         match self {
             Self::Tail10 if higher_is_better => "10th percentile",
@@ -235,7 +235,7 @@ impl<'a> Comparison<'a> {
         available.contains(&statistic).then_some((metric, statistic))
     }
 
-    /// Returns warnings about scores that are not finite, which means omit.
+    /// Returns warnings about scores that are NaN, which means omit.
     pub(super) fn missing_score_warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
@@ -258,6 +258,7 @@ impl<'a> Comparison<'a> {
             let differs = |run: &&Record| {
                 let shown = row.runs.iter().find(|shown| shown.facts.seed == run.facts.seed)?;
                 let [a, b] = [run, shown].map(|run| run.scores.value(row.predictor, key));
+                // Smaller differences are rounding errors.
                 ((a? - b?).abs() > 1e-6).then_some((run.facts.seed, shown.folder.display()))
             };
             if let Some((seed, folder)) = self.setting.runs().find_map(|run| differs(&run)) {
@@ -280,7 +281,7 @@ impl<'a> Comparison<'a> {
         self.rows.iter().map(group).filter(|group| group.len() > 1).map(|group| group.join(" ≡ ")).collect()
     }
 
-    /// Returns the notes of all predictors of the setting.
+    /// Returns the notes of all predictors of the setting, each once, with the label of the variant in place of `model`.
     pub(super) fn notes(&self) -> Vec<String> {
         let variant_notes = |variant: &'a StudyVariant| {
             let named = move |note: &String| note.replace(" of model", &format!(" of {}", variant.label));

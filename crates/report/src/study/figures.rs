@@ -64,7 +64,8 @@ impl Figure {
         Ok(())
     }
 
-    /// Creates a chart in one column; `None` if there is nothing to draw. `words` are for its caption.
+    /// Creates a figure of `chart` in one print column, in place of its own size; `None` if [`Chart::draw`] has nothing to draw.
+    /// `words` are for its caption.
     fn from_chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
         let mut style = ChartStyle::COLUMN;
         if !chart.bands.is_empty() {
@@ -85,7 +86,7 @@ impl Figure {
         self
     }
 
-    /// Creates a figure of `canvas` in all formats, with title and caption of the template, which gets `words`.
+    /// Creates a figure of `canvas` in all formats; title and caption are those of `name` in `figures.txt`, which gets `words`.
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
         let (least, most) = setting.seed_counts();
         let words = render_sentences("figures.txt", context! { name, least, most, ..words });

@@ -71,8 +71,8 @@ fn error_bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     bin_pairs(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)
 }
 
-/// Groups pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`], but no more than pairs;
-/// distances of 0 or infinity are omitted, because the axis is logarithmic.
+/// Groups pairs of distance and error by distance in `count` bins, at least 2 and at most [`MOST_BINS`], but no more than pairs.
+/// Omits pairs that are not finite, and distances of 0, because the axis is logarithmic.
 fn bin_pairs(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
     pairs.retain(|p| p.0 > 0.0 && p.0.is_finite() && p.1.is_finite());
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -88,10 +88,11 @@ fn bin_pairs(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
 
 /// Number of points of a distribution.
 const SHARES: usize = 200;
-/// Share of each predictor within the axis.
+/// Share of the scores of each predictor that is drawn.
 const INSIDE: f64 = 0.98;
 
-/// Draws the share of the test set below each value of the first metric; `None` for spectra, whose SSIM has its own figure.
+/// Draws the share of the test set below each value of the first metric, without the worst; `None` for spectra, whose SSIM is in
+/// other figures, and without scores.
 pub(super) fn distribution_figure(setting: &Setting) -> Option<Figure> {
     if setting.task().has_pixels {
         return None;

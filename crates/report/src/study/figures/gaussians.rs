@@ -8,7 +8,7 @@ use minijinja::context;
 use pwrfgs_experiment::{Record, Setting, StudyVariant, VariantFamily};
 use std::collections::BTreeMap;
 
-/// Number of marks per line.
+/// Maximum number of marks per line.
 const MARKS: usize = 6;
 /// Maximum number of names at the ends of lines.
 const MOST_NAMES: usize = 16;
@@ -68,8 +68,8 @@ pub(super) fn variant_lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
     lines
 }
 
-/// Returns the end of the axis, and the last step. The axis ends soon after the last change of N if trainings differ in
-/// length.
+/// Returns the end of the axis, and the last step of all trainings. If these differ in length, the axis ends soon after the last
+/// change of N, which is constant from there.
 fn axis_ends(setting: &Setting) -> (f64, f64) {
     let steps = || setting.runs().map(|run| run.pipeline.training.steps);
     let (least, most) = (steps().min().unwrap_or(0), steps().max().unwrap_or(0) as f64);
@@ -105,7 +105,8 @@ fn seed_range(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     [extreme(f64::min), fold(&|counts| counts.iter().sum::<f64>() / counts.len() as f64), extreme(f64::max)]
 }
 
-/// Returns some points on the curve. `shift` in 0..1 selects them, so that the marks of two lines do not coincide.
+/// Returns the first point of the curve at or after each of [`MARKS`] equally spaced steps up to `end`, if there is one. `shift`,
+/// from 0 to 1, moves these steps, so that the marks of two lines do not coincide.
 fn select_marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
     let step = |k: usize| end * (k as f64 + shift) / MARKS as f64;
     (0..MARKS)

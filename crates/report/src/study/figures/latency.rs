@@ -68,7 +68,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     Some(Figure::new("latency", setting, words, &draw_bars(&bars, longest)))
 }
 
-/// Returns the machines of the measurements.
+/// Describes the machines of the measurements, each once.
 fn machines(setting: &Setting) -> Vec<String> {
     distinct(setting.runs().map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)))
 }
@@ -116,7 +116,7 @@ fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
     canvas
 }
 
-/// Draws a box with a thin dark border; nothing for a stage without time.
+/// Draws a box with a thin dark border; nothing if its width would be 0 in the file.
 fn draw_box(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
     if size[0] >= 0.005 {
         canvas.rect(at, size, Paint::fill(Colour::hex(shade)).outlined(INK, 0.6));

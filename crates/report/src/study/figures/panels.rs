@@ -12,8 +12,8 @@ use pwrfgs_experiment::{Setting, StudyVariant, scores::MODEL};
 use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 
-/// Draws the Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper. `None`
-/// without Gaussians.
+/// Draws the Gaussians of one variant per method over the point cloud of the scene, with their Chamfer distances: figure 3 of the
+/// paper. `None` without Gaussians.
 pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let methods = || one_variant_per_method(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
     let shown: Vec<&StudyVariant> = methods().take(CURVES).collect();
@@ -131,7 +131,7 @@ pub(super) fn spectra_figure(setting: &Setting, data: &Dataset) -> Result<Option
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
 
-/// Returns the columns of the figure of spectra: baselines, then `methods`, each with the scores of its first run.
+/// Returns the columns of the figure of spectra: the best baselines, then `methods`, each with the SSIM of its first run.
 ///
 /// # Errors
 /// A damaged model file, or a baseline that cannot be fitted.
@@ -172,7 +172,8 @@ fn baseline_columns<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<Pred
     Ok(columns)
 }
 
-/// Chooses the best, median and worst sample by the first of `scores`, among the ids that all have; without repetition.
+/// Chooses the best, median and worst sample by the first of `scores` (larger is better) among the ids that all have, without
+/// repetition; none without common ids.
 fn choose_samples(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     let Some(first) = scores.first() else { return Vec::new() };
     let mut common: Vec<(f64, u32)> =
@@ -228,7 +229,7 @@ fn draw_spectra(predictors: &[&str], rows: &[SpectrumRow], plane: &ImagePlane) -
     canvas
 }
 
-/// Draws the colour bar of power below `top`, with its quantity, in the middle.
+/// Draws the colour bar of power below `top`, with its quantity to the left; both are centred.
 fn draw_power_bar(canvas: &mut Canvas, top: f64) {
     let words = "spectrum, normalised";
     let bar = (canvas.width - BAR + text_width(words) + 8.0) / 2.0;

@@ -67,7 +67,8 @@ fn rate_chart(lines: Vec<ChartLine>) -> Chart {
     Chart { x, y, lines, ..Chart::default() }
 }
 
-/// Returns the lines of the baselines, fitted to training and validation sets, on the test set of the first run.
+/// Returns the lines of the [`grey_baselines`], fitted to training and validation sets, on at most [`SAMPLES`] test spectra of
+/// the first run.
 fn baseline_lines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<ChartLine>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
@@ -99,7 +100,7 @@ fn loss_curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
     snrs_db().zip(measured.iter().map(|m| 1.0 - m.values.mean())).collect()
 }
 
-/// Returns the mean of curves over the same points; empty without curves.
+/// Returns the mean of curves with the same horizontal coordinates; empty without curves.
 fn mean_curve(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
     let height = |k: usize| curves.iter().map(|c| c[k].1).sum::<f64>() / curves.len() as f64;
     let first = curves.first().map_or(&[][..], Vec::as_slice);

@@ -3,7 +3,8 @@
 use pwrfgs_core::{Error, Result, did_you_mean, evenly};
 use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, distinct};
 
-/// Maximum number of curves of variants or methods in a figure, and of grey curves of baselines over an axis.
+/// Maximum number of curves of variants or methods in a figure, and of grey curves of baselines; the help of `--variants` and
+/// `figures.txt` print them.
 pub(super) const CURVES: usize = 6;
 const GREY_CURVES: usize = 3;
 
@@ -78,8 +79,8 @@ fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     common
 }
 
-/// Returns one variant per method: the variants that are nearest to a common number of Gaussians, by ratio. All variants of a
-/// single method.
+/// Returns one variant per method: the variants that are nearest to a common number of Gaussians, by ratio. For a single method,
+/// returns all its variants.
 pub(super) fn one_variant_per_method<'a>(setting: &'a Setting) -> Vec<&'a StudyVariant> {
     let families = VariantFamily::group(setting);
     if families.len() == 1 {
@@ -121,7 +122,7 @@ fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a Study
     if selected.is_empty() { setting.variants.iter().collect() } else { selected }
 }
 
-/// Returns the variants of the best methods by the first metric, of at most [`CURVES`] methods.
+/// Returns the variants of at most [`CURVES`] methods, those whose best variant is best by the first metric.
 fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
     let headline = setting.headline();
     let best = |family: &VariantFamily<'_>| {

@@ -76,7 +76,7 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
     Figure::from_chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// Returns one curve per method over N.
+/// Returns the curve of each method that has this score over N.
 pub(super) fn strategy_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let families = VariantFamily::group(setting);
     families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &COSTS[N], key, true)).collect()
@@ -94,7 +94,7 @@ pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
     if setting.is_external(name) { Style::external(CURVES + k) } else { Style::baseline(k) }
 }
 
-/// Returns a horizontal line at the score of the best baselines, and of the noise ceiling, with its name at the right.
+/// Returns a horizontal line for each of the best baselines and the noise ceiling at its score, with its name at the right.
 fn baseline_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
         let score = axis_value(key, setting.baseline_score(name, key)?);
@@ -119,7 +119,7 @@ fn published_line(key: &str, (name, published): &Published) -> ChartLine {
     line
 }
 
-/// Number of methods drawn in colour besides the last: the best.
+/// Number of the best methods that are drawn in colour; the last one is too.
 const SHOWN: usize = CURVES - 1;
 
 /// Cost on the horizontal axis.
@@ -139,8 +139,8 @@ const COSTS: [CostAxis; 3] = [
     CostAxis { name: "pareto-ms", axis: "latency [ms]", value: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
-/// Draws the first metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds. `None`
-/// if there are too few methods, or none has this cost.
+/// Draws the first metric of methods at equal numbers of Gaussians against the cost with index `K` in [`COSTS`]. `None` if
+/// there are too few methods, or none has this cost.
 pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure> {
     let (cost, headline) = (&COSTS[K], setting.headline());
     // Methods that are always worse than all baselines would compress the axis.
