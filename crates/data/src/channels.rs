@@ -245,8 +245,7 @@ impl Channels {
     }
 }
 
-/// Returns the indices of the same `rows` of each carrier in the joined array of all `carriers`, of `count` rows each; carrier
-/// by carrier.
+/// Returns the indices of `rows` at each of the `carriers`, in the joined array of `count` rows per carrier.
 fn repeat_rows(rows: &[usize], carriers: usize, count: usize) -> Vec<usize> {
     (0..carriers).flat_map(|carrier| rows.iter().map(move |row| carrier * count + row)).collect()
 }
@@ -296,7 +295,7 @@ struct ReceiverFile {
 }
 
 impl ReceiverFile {
-    /// Reads the file. Returns an error for a missing or invalid value.
+    /// Reads `receiver.yml` at `path`. Returns an error for a missing file, or a missing or invalid value.
     fn read(path: &Path) -> Result<Self> {
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";

@@ -48,7 +48,7 @@ pub enum UnlinkedNode {
 }
 
 impl UnlinkedNode {
-    /// Describes the problem of the node in words.
+    /// Describes the problem that the node is unlinked, with the next step.
     fn describe(self, receivers: &[Receiver]) -> String {
         match self {
             Self::Transmitter(i) => format!("no receiver received transmitter {i}; leave it out"),
@@ -72,7 +72,7 @@ pub fn unlinked_node(
     unlinked(&sends).map(UnlinkedNode::Transmitter).or_else(|| unlinked(&receives).map(UnlinkedNode::Receiver))
 }
 
-/// Returns the problem with a received power in dBm that is implausible; `None` if it is valid.
+/// Returns the problem with a received power in dBm that is NaN or beyond 300 in size; `None` if it is valid.
 pub fn power_fault(dbm: f64) -> Option<String> {
     (dbm.is_nan() || dbm.abs() > LARGEST_DBM).then(|| format!("is {dbm}, no power in dBm; give dBm"))
 }
@@ -82,7 +82,7 @@ pub fn power_fault(dbm: f64) -> Option<String> {
 /// the caller names the spectrum.
 pub fn shape_fault(elevation: Elevation, stated: bool, size: (usize, usize), setting: &str) -> Option<String> {
     // Elongated pixels are plausible if stated; otherwise the rows probably cover another range of elevations.
-    let factor = if stated { 4.0 } else { 1.75 };
+    let factor = if stated { 4.0 } else { 1.75 }; // also in the docs of `Nerf2Spectrum`
     let misfit = elevation.misfit(size, factor)?;
     let (width, height) = size;
     let is_transposed = height > width && elevation.misfit((height, width), factor).is_none();

@@ -274,7 +274,8 @@ fn parse_view(row: &TextRow<'_>) -> Result<View> {
     Ok(View { line: row.line, name: name.text.into(), camera, pose: Pose { position, ..rotation } })
 }
 
-/// Returns the camera of all images in the folder `model`. Returns an error if their cameras differ or one is missing.
+/// Returns the camera of all `views`, at least one, of the model in the folder `model`. Returns an error if their cameras
+/// differ or one is missing.
 fn shared_camera(model: &Path, views: &[View], cameras: &BTreeMap<u32, SizedCamera>) -> Result<SizedCamera> {
     let mut used: BTreeMap<u32, usize> = BTreeMap::new();
     views.iter().for_each(|view| _ = used.entry(view.camera).or_insert(view.line));
@@ -310,8 +311,8 @@ fn indices_by_name(views: &[View]) -> ImageNames {
     names
 }
 
-/// Parses a word of an index file, the name of an image with or without extension, such as `example`. Returns the problem
-/// with an unknown or ambiguous name.
+/// Parses a word of an index file: the name of an image, with or without extension. Returns the problem with an unknown or
+/// ambiguous name; its advice names `example`.
 fn parse_entry(names: &ImageNames, example: &str, word: &str) -> Result<index::IndexEntry, String> {
     match names.get(word) {
         Some(Some(k)) => Ok(index::IndexEntry { id: *k as u32 + 1, sample: *k }),

@@ -77,7 +77,7 @@ impl Colormap {
     /// colour.
     ///
     /// # Errors
-    /// More than 5 % of the pixels are far from the map: the problem.
+    /// Returns the problem if more than 5 % of the pixels are far from the map.
     pub(crate) fn invert(self, image: &RgbImage) -> Result<Vec<u8>, String> {
         let table = self.table();
         let nearest = image.pixels().map(|pixel| nearest(&table, pixel.0));
@@ -122,7 +122,8 @@ impl Colormap {
     }
 }
 
-/// Returns the index of the nearest colour of a table, the middle of several equal ones, and the squared distance.
+/// Returns the index of the colour of a table that is nearest to `colour`, and the squared distance; in a tie, the middle of
+/// the first and the last such index.
 fn nearest(table: &[[i32; 3]; 256], colour: [u8; 3]) -> (u8, i32) {
     let squared = |to: &[i32; 3]| (0..3).map(|k| (to[k] - i32::from(colour[k])).pow(2)).sum::<i32>();
     let (mut first, mut last, mut least) = (0, 0, i32::MAX);

@@ -110,7 +110,7 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Decodes the content of a file; its dialect is not known yet. Returns an error for an archive, a damaged gzip file, or
+    /// Decodes the content of a file, whose dialect is still to be set. Returns an error for an archive, a damaged gzip file, or
     /// content that is not text.
     fn decode(path: &'a Path, bytes: Cow<'a, [u8]>) -> Result<Self> {
         let refuse = |problem: &str| Err(Error::input(path, problem));
@@ -212,11 +212,11 @@ impl<'a> TableText<'a> {
         })
     }
 
-    /// Returns the rows or errors of [`Self::rows`]; `progress` counts lines.
+    /// Returns the rows or errors of [`Self::rows`]; `progress` counts lines, blank ones too.
     pub(crate) fn counted_rows(&self, progress: Progress<'_>) -> impl Iterator<Item = Result<TextRow<'_>>> {
         /// Number of lines between two reports of progress.
         const STEP: usize = 256;
-        let total = self.line_count();
+        let total = numbered_lines(&self.text).last().map_or(0, |(line, _)| line);
         self.rows().inspect(move |row| {
             if let Ok(TextRow { line, .. }) = row
                 && line % STEP == 0
@@ -384,6 +384,18 @@ fn detect_separator(text: &str) -> (Option<char>, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn progress_ends_at_the_last_line() {
+        use std::sync::atomic::{AtomicBool, Ordering};
+        let text = format!("x,y,z\n{}", "1,2,3\n\n".repeat(300));
+        let file = TableFile { path: "a.csv".into(), bytes: Some(text.into_bytes()) };
+        let table = TableText::read(&file).unwrap();
+        let is_beyond = AtomicBool::new(false);
+        let progress = |line: usize, total: usize| _ = is_beyond.fetch_or(line > total, Ordering::Relaxed);
+        assert_eq!(table.counted_rows(&progress).flatten().count(), 300);
+        assert!(!is_beyond.load(Ordering::Relaxed));
+    }
 
     #[test]
     fn split_fields_have_their_columns() {

@@ -231,9 +231,9 @@ pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
     format!("base_station: {antennas:?}\n")
 }
 
-/// Returns the content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame
-/// (metres), the carrier and the distance between subcarriers (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]`
-/// (metres) in the world frame, or in the frame of a moving receiver.
+/// Returns the content of `receiver.yml`: the `name`, which must be a YAML scalar, the pose in the world frame (metres), the
+/// carrier and the subcarrier spacing (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]` (metres) in the world
+/// frame, or in the frame of a moving receiver.
 pub fn receiver_yaml(
     name: &str,
     Pose { position, orientation }: &Pose,

@@ -214,14 +214,14 @@ impl Range {
         self.extremes.map_or((f64::NAN, f64::NAN), |[(_, low), (_, high)]| (low, high))
     }
 
-    /// Returns whether all values are between 0 and 1.
+    /// Returns whether all values are between 0 and 1, up to rounding; false without values.
     pub(super) fn is_linear(&self) -> bool {
         let (low, high) = self.ends();
         low >= -ROUNDING && high <= 1.0 + ROUNDING
     }
 
-    /// Returns an error for values of `path` that are not finite, outside 0 to 1 after multiplication by `scale`, or all
-    /// small. Called after the last spectrum: a damaged file is reported as such.
+    /// Returns an error for values of `path` that are not finite, outside 0 to 1 after multiplication by `scale`, all zero, or
+    /// implausibly small. Called after the last spectrum, so that the error for a damaged file comes first.
     pub(super) fn check(&self, path: &Path, scale: Option<f64>) -> Result<()> {
         let refuse = |problem: String| Err(Error::input(path, problem));
         if let Some((index, value)) = self.not_finite {

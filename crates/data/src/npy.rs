@@ -69,7 +69,7 @@ pub(crate) fn parse_positions(header: &Header, path: &Path, file: &mut dyn Read,
     }
 }
 
-/// Returns an error unless `file` ends here. At its end, an archive compares the checksum of an entry.
+/// Returns an error unless `file` ends here. An entry of an archive compares its checksum when this end is read.
 pub(crate) fn check_end(file: &mut dyn Read) -> io::Result<()> {
     match file.read(&mut [0])? {
         0 => Ok(()),

@@ -24,6 +24,8 @@ const MAX_BESIDE: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// First marker of a JPEG file.
 const JPEG: &[u8] = b"\xff\xd8";
+/// Second byte of its last marker.
+const JPEG_END: u8 = 0xd9;
 
 /// Returns the paths of the images in a folder by id: files named by a number with `.png`; others are ignored. `advice` is
 /// the next step if the folder does not exist. Returns an error for the id 0 or a repeated id.
@@ -210,7 +212,7 @@ fn has_end_marker(file: &[u8]) -> bool {
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
     let mut segments = &file[JPEG.len()..];
     while let Some(start) = segments.windows(2).position(is_marker) {
-        if segments[start + 1] == 0xd9 {
+        if segments[start + 1] == JPEG_END {
             return true;
         }
         // Skips the segment of any other marker: metadata may hold a thumbnail with its own end marker.

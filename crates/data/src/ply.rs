@@ -225,8 +225,7 @@ impl<'a> BinaryBody<'a> {
         Some(scalar.to_number(raw, self.is_big))
     }
 
-    /// Reads a list and returns the bytes of its items; `None` at the end of the body, as which a negative or fractional
-    /// length counts.
+    /// Reads a list and returns the bytes of its items; `None` at the end of the body, and for a negative or fractional length.
     fn read_list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
         let length = self.read_number(length).filter(|l| *l >= 0.0 && l.fract() == 0.0)?;
         self.take_bytes((length as usize).checked_mul(item.size())?)

@@ -87,8 +87,8 @@ impl Polygons {
     }
 }
 
-/// Adds the triangles of a polygon, of which neighbouring corners differ; none for fewer than three corners, or corners on
-/// a line. Returns the problem with a polygon that touches or crosses itself, or that no fan fills and that has more corners
+/// Adds the triangles of a polygon whose neighbouring corners differ; none for fewer than three corners, or corners on a
+/// line. Returns the problem with a polygon that touches or crosses itself, or that no fan fills and that has more corners
 /// than [`MOST_CORNERS`].
 fn split_polygon(vertices: &[[f64; 3]], corners: &[u32], out: &mut Vec<[u32; 3]>) -> Result<(), &'static str> {
     let n = corners.len();

@@ -42,6 +42,7 @@ impl DataSource for Subset {
         self.data.task()
     }
 
+    /// Loads all links of the source, then selects some. Reads the indices first, so that their errors come early.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let path = base.join(&self.links);
         let links = read_ascending(&path, "index of a link, counted from 0,")?;

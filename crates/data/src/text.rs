@@ -224,7 +224,7 @@ pub(crate) fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a s
     parts.map(field).collect()
 }
 
-/// Returns the problem with a point of a binary file, metres, as an adjective; `None` if it is valid.
+/// Returns the problem with a point of a binary file, metres, as the words after `is`; `None` if it is valid.
 pub(crate) fn point_fault(point: [f64; 3]) -> Option<String> {
     let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })

@@ -115,7 +115,7 @@ pub struct Trend<'a> {
 }
 
 impl<'a> Trend<'a> {
-    /// Fits the trend to these links by least squares.
+    /// Fits the path-loss model to these links by least squares; without distances or for other observations, there is none.
     pub fn fit(data: &'a Dataset, links: &[usize]) -> Self {
         let has_distances = data.task().has_path_loss && data.scene.has_distances();
         Self { data, path_loss: has_distances.then(|| PathLoss::fit(&path_loss_points(data, links))) }
@@ -188,6 +188,7 @@ struct Process<'a> {
 }
 
 impl Predict for Process<'_> {
+    /// Returns the weighted sum of the nearest samples; with a path-loss model, that of their residuals added to its power.
     fn predict(&self, query: Query<'_>) -> Image {
         let Dataset { width, height, .. } = *self.trend.data;
         if self.trend.path_loss.is_none() {
@@ -276,7 +277,7 @@ impl ReceiverPredictor for Process<'_> {
 }
 
 impl Process<'_> {
-    /// Returns the description of the fit for a single receiver.
+    /// Describes the fit of a single receiver.
     fn describe_fit(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, time] = scales.map(format_digits);
@@ -293,7 +294,7 @@ impl Process<'_> {
         )
     }
 
-    /// Returns the short description of the fit for one of several receivers, in the order of [`describe_fits`].
+    /// Describes the fit of one of several receivers in short, in the order of the header of [`describe_fits`].
     fn summarise_fit(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, _] = scales.map(format_digits);
@@ -306,7 +307,7 @@ impl Process<'_> {
     }
 }
 
-/// Returns the description of the fits for several receivers. It lists every number, so that scores can be reproduced.
+/// Describes the fits of several receivers, with every number, so that scores can be reproduced.
 fn describe_fits(processes: &[(&str, &Process<'_>)]) -> String {
     let path_loss = if processes.iter().any(|(_, process)| process.trend.path_loss.is_some()) {
         ", path loss in dBm at 1 m and dB per decade"

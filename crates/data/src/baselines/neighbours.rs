@@ -122,8 +122,8 @@ impl Baseline for NearestNeighbours {
 }
 
 /// Returns the k of all receivers that best predicts known links from those of their receiver in other blocks, the smallest
-/// in a tie; 3 if there is nothing to compare. Without positions it predicts the validation links from the training links.
-/// Returns an error if an observation cannot be read, or if the flag of `fitting` ends the search.
+/// in a tie; [`DEFAULT`] if there is nothing to compare. Without positions, it predicts the validation links from the
+/// training links. Returns an error if an observation cannot be read, or if the flag of `fitting` ends the search.
 fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize> {
     let samples = fitting_samples(fitting)?;
     let (train, held_out) = if data.placed { (samples.clone(), samples) } else { selection_sets(fitting) };
@@ -185,8 +185,8 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Returns the samples to average for a link at `coordinates`, with their weights, and whether they are exactly there: all
-    /// such samples, else the k nearest. Only those whose index in the list of samples `is_wanted`.
+    /// Returns whether samples are exactly at `coordinates`, and the samples to average with their weights: all that are there,
+    /// else the k nearest. Only those whose index in the list of samples `is_wanted`.
     fn weighted_neighbours(&self, coordinates: &[f64], is_wanted: impl Fn(usize) -> bool) -> (bool, Vec<(usize, f64)>) {
         let (exact, near) = self.nearest.find_where(coordinates, self.k, is_wanted);
         if exact.is_empty() {

@@ -82,7 +82,7 @@ impl ChannelImport {
         let mut notes =
             vec![format!("{m} positions, {a} antennas, {f} subcarriers of {} (axes {})", kind.name(), self.axes)];
         for (indices, (total, noun)) in received.iter().zip([(m, "channels"), (a, "antennas"), (f, "subcarriers")]) {
-            if let Some(first) = (0..total).find(|i| indices.get(*i) != Some(i)) {
+            if let Some(first) = (0..total).find(|i| indices.binary_search(i).is_err()) {
                 let count = total - indices.len();
                 notes.push(format!(
                     "{count} of {total} {noun} are zero, not received, and left out; the first is {first}"
@@ -113,7 +113,7 @@ impl ChannelImport {
             let advice = "give the position of each in the receiver's frame, or correct --axes";
             return Err(Error::input(path, format!("{problem}; {advice}")));
         }
-        // The rows of the gains that were received stay in their order.
+        // Keeps the gains that were received, in their order.
         let is_in = |list: &[usize], n| (0..n).map(|i| list.binary_search(&i).is_ok()).collect::<Vec<_>>();
         let is_received = [is_in(rows, grid.size[0]), is_in(antennas, count), is_in(subcarriers, width)];
         let mut i = 0;
@@ -134,7 +134,7 @@ impl ChannelImport {
     }
 
     /// Creates the received powers, dB relative to the strongest, with a receiver per subcarrier, or per antenna of one
-    /// subcarrier. Returns the errors of [`Dataset::of_links`].
+    /// subcarrier; links without power are left out. Returns the errors of [`Dataset::of_links`].
     fn create_powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3]) -> Result<Dataset> {
         let [rows, antennas, subcarriers] = received;
         let has_subcarriers = grid.size[2] > 1;
@@ -172,8 +172,8 @@ struct Grid {
 }
 
 impl Grid {
-    /// Reads the files of `import` and concatenates them along the positions. Returns an error unless they differ in no other
-    /// axis, and have channels of as many positions as there are transmitters `tx`.
+    /// Reads the files of `import` and concatenates them along the positions. Returns an error for an invalid file, other
+    /// antennas or subcarriers than in the first file, or another number of positions than transmitters `tx`.
     fn read(import: &ChannelImport, tx: Vec<[f64; 3]>) -> Result<Self> {
         let (files, imag) = (&import.channels, &import.imag);
         if !imag.is_empty() && imag.len() != files.len() {
@@ -263,7 +263,7 @@ impl Kind {
         }
     }
 
-    /// Returns the power of a number; 0 if it was not received.
+    /// Returns the power of a number, linear; 0 if it was not received.
     fn power(self, [re, im]: [f64; 2]) -> f64 {
         match self {
             Self::Decibel if re < 0.0 => 10f64.powf(re / 10.0),

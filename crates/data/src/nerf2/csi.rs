@@ -87,7 +87,8 @@ impl DataSource for Nerf2Csi {
         check_magnitudes(&path, array.shape, &array.values)?;
         let (features, gains) = split_links(&mut array);
         let position = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
-        let receivers = if self.together { vec![base_station(&antennas)] } else { antenna_receivers(&antennas) };
+        let receivers =
+            if self.together { vec![create_base_station(&antennas)] } else { create_antenna_receivers(&antennas) };
         let links = (0..snapshots).flat_map(|i| (0..receivers.len()).map(move |receiver| (i, receiver)));
         let samples: Vec<Sample> =
             links.map(|(i, receiver)| Sample { receiver, ..Sample::new(i as u32, position(i)) }).collect();
@@ -147,7 +148,7 @@ fn read_positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>
 }
 
 /// Creates one receiver per antenna, at its position in metres.
-fn antenna_receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
+fn create_antenna_receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
     let receiver = |(k, &position): (usize, &[f64; 3])| {
         Receiver::new(format!("antenna {}", k + 1), Pose { position, ..Pose::IDENTITY })
     };
@@ -155,7 +156,7 @@ fn antenna_receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
 }
 
 /// Creates one receiver of all antennas, at their centre; positions in metres.
-fn base_station(antennas: &[[f64; 3]]) -> Receiver {
+fn create_base_station(antennas: &[[f64; 3]]) -> Receiver {
     let centre = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / antennas.len().max(1) as f64);
     let offset = |a: &[f64; 3]| std::array::from_fn(|k| a[k] - centre[k]);
     let pose = Pose { position: centre, ..Pose::IDENTITY };

@@ -55,8 +55,8 @@ impl GatewayValue {
 }
 
 impl Gateway {
-    /// Reads `gateway_info.yml`; `requested` is the gateway that the user selected, else `gateway1`. `advice` is the next step
-    /// if the file does not exist. Returns an error for a missing or ambiguous gateway, or an invalid value.
+    /// Reads `gateway_info.yml`; `requested` is the gateway that the user selected, `None`: `gateway1`. `advice` is the next
+    /// step if the file does not exist. Returns an error for a missing or ambiguous gateway, or an invalid value.
     pub(crate) fn read(path: &Path, requested: Option<&str>, advice: &str) -> Result<Self> {
         let file: BTreeMap<String, Spanned<GatewayValue>> = read_yaml(path, advice, GATEWAY)?;
         let name = requested.unwrap_or("gateway1");

@@ -239,7 +239,7 @@ impl PowerTable<'_> {
 /// receivers without a column.
 ///
 /// # Errors
-/// The file cannot be read, has an invalid row, or has a column of an unknown receiver; the message has line and
+/// The file cannot be read, has no row or an invalid one, or has a column of an unknown receiver; the message has line and
 /// column.
 pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> {
     const ADVICE: &str =

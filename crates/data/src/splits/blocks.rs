@@ -48,6 +48,7 @@ impl Default for TimeBlock {
 
 #[typetag::serde]
 impl Split for TimeBlock {
+    /// Holds out a block of the locations, which are in the order of their ids.
     fn split(&self, data: &Dataset, _: &mut Rng) -> Result<Partition> {
         let count = data.locations.len();
         let length = share_count(self.length, count);
@@ -159,6 +160,7 @@ fn decimal_digits(v: f64) -> (i128, i32) {
 
 #[typetag::serde]
 impl Split for Voxel {
+    /// Draws cells of locations for the test set, then for validation.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let demands = &[Demand::of("split", "Voxel", &[Requirement::Positions])];
         check_compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;

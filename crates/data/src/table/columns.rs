@@ -30,7 +30,7 @@ impl PositionColumns {
         Self { plane: if is_geodetic { [b, a] } else { [a, b] }, height, is_geodetic }
     }
 
-    /// Returns all columns.
+    /// Returns the columns of all coordinates.
     pub(super) fn all(self) -> impl Iterator<Item = usize> {
         self.plane.into_iter().chain(self.height)
     }
@@ -160,11 +160,11 @@ impl<'a> ColumnSearch<'a> {
         (0..self.names.len()).find(is_known).ok_or_else(|| self.fault(problem))
     }
 
-    /// Returns the column of names in a table of places or receivers: by its name, else the first that is no coordinate. Returns
-    /// an error if there is none.
-    pub(super) fn name_column(&self, place: PositionColumns) -> Result<usize> {
+    /// Returns the column of names in a table of places or receivers: by its name, else the first that is no coordinate of
+    /// `position`. Returns an error if there is none.
+    pub(super) fn name_column(&self, position: PositionColumns) -> Result<usize> {
         let is_name = |k: &usize| is_one_of(&self.names[*k], RECEIVER) || is_one_of(&self.names[*k], PLACE);
-        let is_other = |k: &usize| place.all().all(|column| column != *k);
+        let is_other = |k: &usize| position.all().all(|column| column != *k);
         let columns = 0..self.names.len();
         let column = columns.clone().find(is_name).or_else(|| columns.clone().find(is_other));
         column.ok_or_else(|| self.fault("no column of names; add one called `name`"))

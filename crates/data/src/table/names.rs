@@ -52,8 +52,8 @@ pub(super) struct Affixes {
 
 impl Affixes {
     /// Finds the text that all `columns` have before and after the names of their receivers, in either case: the one that
-    /// leaves the most names of `placed`, the receivers of known position. It ends where a word or number does. `None` without
-    /// such a text, or if a column is itself in `placed`.
+    /// leaves the most names of `placed`, the receivers of known position. Its ends at a name divide no word or number. `None`
+    /// without such a text, or if a column is itself in `placed`.
     pub(super) fn find(columns: &[&str], placed: &[&str]) -> Option<Self> {
         let lower = |names: &[&str]| names.iter().map(|name| name.to_ascii_lowercase()).collect::<Vec<_>>();
         let (columns, placed) = (lower(columns), lower(placed));

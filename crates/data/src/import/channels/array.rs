@@ -38,7 +38,8 @@ struct Cursor {
 }
 
 impl Cursor {
-    /// Creates a cursor at `at` from the names and lengths of the axes, for gains `[M,A,F]` of this size.
+    /// Creates a cursor at `at` from the names and lengths of the axes, the one that varies fastest first, for gains `[M,A,F]` of
+    /// this size.
     fn new(at: usize, axes: &[(&str, usize)], [_, a, f]: [usize; 3]) -> Self {
         let step = |name: &str| match name {
             "m" => 2 * a * f,
