@@ -243,7 +243,8 @@ impl OpenEvaluation<'_, '_, '_> {
 }
 
 impl TestScorer<'_, '_, '_> {
-    /// Fits `baseline` to training and validation samples and scores it; if the model has intervals, also its intervals.
+    /// Fits `baseline` to training and validation samples and scores it. If the model has intervals and it is no oracle, also
+    /// scores its intervals.
     fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>) -> Result<ScoredBaseline> {
         let SplitData { data, partition } = self.run.split;
         let run = &mut *self.run;
@@ -288,24 +289,24 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
 }
 
 impl Confidence {
-    /// Measures spread of the members and error of their mean on the samples `part`.
+    /// Measures spread of the members and error of their mean on `samples` (indices of links).
     ///
     /// # Errors
     /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is stopped.
-    pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
+    pub fn measure(model: &Prepared<'_>, data: &Dataset, samples: &[usize], session: &mut Session<'_>) -> Result<Self> {
         let stop = session.stop;
         run_stage(session.observer, "measuring the spread of members", |progress| {
-            let mut confidence = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
+            let mut confidence = Self { ids: samples.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let measure_link =
                 |(&i, (mean, deviation)): (&usize, (Image, Image))| spread_and_error(data, i, mean, &deviation);
-            for chunk in part.chunks(CHUNK) {
+            for chunk in samples.chunks(CHUNK) {
                 check_stopped(stop)?;
                 let queries = data.queries(chunk);
                 let predicted = chunk.par_iter().zip(model.predict_many_with_deviation(&queries));
                 let pairs: Vec<(f64, f64)> = predicted.map(measure_link).collect();
                 confidence.spreads.extend(pairs.iter().map(|(spread, _)| spread));
                 confidence.errors.extend(pairs.iter().map(|(_, error)| error));
-                progress(confidence.errors.len(), part.len());
+                progress(confidence.errors.len(), samples.len());
             }
             data.observations.check()?;
             Ok(confidence)

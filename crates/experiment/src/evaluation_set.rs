@@ -112,14 +112,15 @@ fn refuse_infinite(name: &str, predictions: &[Image]) -> Result<()> {
 pub struct EvaluationSet<'a> {
     data: &'a Dataset,
     plane: &'a ImagePlane,
-    part: Vec<usize>,
+    /// Indices of the links, and the links.
+    samples: Vec<usize>,
     links: Vec<Link>,
 }
 
 impl<'a> EvaluationSet<'a> {
-    /// Creates the set of the samples `part` on the pixels of `plane`.
-    pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
-        Self { data, plane, part: part.to_vec(), links: part.iter().map(|&i| data.links[i]).collect() }
+    /// Creates the set of `samples` (indices of links) on the pixels of `plane`.
+    pub fn new(data: &'a Dataset, samples: &[usize], plane: &'a ImagePlane) -> Self {
+        Self { data, plane, samples: samples.to_vec(), links: samples.iter().map(|&i| data.links[i]).collect() }
     }
 
     /// Measures a predictor by all its metrics, in their order.
@@ -131,7 +132,7 @@ impl<'a> EvaluationSet<'a> {
         let mut measurements = self.measure_chunks(scored, session)?;
         session.check_stopped()?;
         pwrfgs_core::device::check()?;
-        if self.part.is_empty() || scored.metrics.iter().any(|m| m.scope() != Scope::Sample) {
+        if self.samples.is_empty() || scored.metrics.iter().any(|m| m.scope() != Scope::Sample) {
             self.measure_whole(scored, &mut measurements, session)?;
         }
         Ok(measurements.by_metric.into_iter().flatten().collect())
@@ -152,23 +153,23 @@ impl<'a> EvaluationSet<'a> {
         let size = (PIXELS / pixels.max(1)).clamp(1, if pixels == 1 { MANY } else { CHUNK });
         let (done, stop) = (AtomicUsize::new(0), session.stop);
         run_stage(session.observer, &format!("predicting with {name}"), |progress| {
-            let count = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
-            for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
+            let count = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.samples.len());
+            for (samples, links) in self.samples.chunks(size).zip(self.links.chunks(size)) {
                 check_stopped(stop)?;
-                let queries = self.data.queries(part);
+                let queries = self.data.queries(samples);
                 let predictions = predictor.predict(&queries, &count);
-                let truths: Vec<Image> = part.par_iter().map(|&i| self.data.image(i)).collect();
+                let truths: Vec<Image> = samples.par_iter().map(|&i| self.data.image(i)).collect();
                 self.data.observations.check()?;
                 refuse_infinite(name, &predictions)?;
                 let chunk = Evaluation { predictions: &predictions, truths: &truths, links, ..evaluation };
                 for (k, metric) in metrics.iter().enumerate() {
                     match metric.scope() {
                         Scope::Sample => {
-                            append_measurements(&mut open.by_metric[k], metric.evaluate(&chunk)?, part.len())?;
+                            append_measurements(&mut open.by_metric[k], metric.evaluate(&chunk)?, samples.len())?;
                         }
                         Scope::Energies => {
                             let energies = metric.energies(&chunk)?;
-                            check_energies(&title_of(metric), energies.len(), part.len())?;
+                            check_energies(&title_of(metric), energies.len(), samples.len())?;
                             open.energies[k].extend(energies);
                         }
                         Scope::Model | Scope::All => {}
@@ -193,12 +194,12 @@ impl<'a> EvaluationSet<'a> {
     ) -> Result<()> {
         // Latency is that of links predicted one by one.
         let count = &Cell::new(0);
-        let is_timed = predictor.is_timed() && !self.part.is_empty();
+        let is_timed = predictor.is_timed() && !self.samples.is_empty();
         let timer = is_timed.then_some(move || self.time_next(predictor, count));
         let timed_prediction = timer.as_ref().map(|timer| timer as &dyn Fn() -> StageTimes);
         let OpenMeasurements { by_metric, energies, images: [predictions, truths] } = measurements;
-        let samples = Evaluation::of(self.data, self.plane);
-        let whole = Evaluation { model: predictor.facts(), timed_prediction, ..samples };
+        let empty = Evaluation::of(self.data, self.plane);
+        let whole = Evaluation { model: predictor.facts(), timed_prediction, ..empty };
         let all = Evaluation { links: &self.links, ..whole };
         run_stage(session.observer, &format!("scoring {name}"), |progress| {
             for (k, (measured, metric)) in by_metric.iter_mut().zip(metrics).enumerate() {
@@ -208,7 +209,7 @@ impl<'a> EvaluationSet<'a> {
                     }
                     Scope::All => *measured = metric.evaluate(&Evaluation { predictions, truths, ..all })?,
                     Scope::Model => *measured = metric.evaluate(&whole)?,
-                    Scope::Sample if self.part.is_empty() => *measured = metric.evaluate(&samples)?,
+                    Scope::Sample if self.samples.is_empty() => *measured = metric.evaluate(&empty)?,
                     Scope::Sample => {}
                 }
                 progress(k + 1, metrics.len());
@@ -219,8 +220,8 @@ impl<'a> EvaluationSet<'a> {
 
     /// Times the prediction of the next sample in turn; `count` counts the calls.
     fn time_next(&self, predictor: Predictor<'_>, count: &Cell<usize>) -> StageTimes {
-        let next = count.replace(count.get() + 1) % self.part.len();
-        predictor.time(self.data.query(self.part[next]))
+        let next = count.replace(count.get() + 1) % self.samples.len();
+        predictor.time(self.data.query(self.samples[next]))
     }
 }
 

@@ -30,8 +30,8 @@ impl ActiveRun<'_, '_> {
         self.calibrate(fitted)
     }
 
-    /// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train
-    /// on, or intervals do not support the observations.
+    /// Calibrates the intervals of the ensemble on the links that its members left out. Returns it unchanged if it has a
+    /// calibration, without such links, or if intervals do not support the observations.
     ///
     /// # Errors
     /// A prediction that is not finite, a spectrum that cannot be read, or [`Error::Stopped`].
@@ -188,8 +188,8 @@ impl MeasuredInterval {
     /// Averages intervals of one `level` by their weights.
     fn mean_scores(level: f64, weighted: &[(f64, &Self)]) -> LevelScores {
         let mean = |value: &dyn Fn(&Self) -> f64| weighted.iter().map(|(w, interval)| w * value(interval)).sum::<f64>();
-        let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
-        let ssim = weighted.iter().any(|(_, interval)| interval.ssim.is_some()).then(|| [part(0), part(1)]);
+        let mean_ssim = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
+        let ssim = weighted.iter().any(|(_, interval)| interval.ssim.is_some()).then(|| [mean_ssim(0), mean_ssim(1)]);
         let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
         LevelScores { level, coverage, width, ssim }
     }

@@ -57,8 +57,8 @@ pub fn load_with_findings(
 ) -> Result<(SplitData, Vec<Finding>)> {
     let mut data = run_stage(observer, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
     let partition = pipeline.partition(&data)?;
-    for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
-        if part.is_empty() {
+    for (samples, name) in [(&partition.train, "training"), (&partition.test, "test")] {
+        if samples.is_empty() {
             return Err(Error::Config(format!("split: no sample is left for the {name} set; change `split`")));
         }
     }

@@ -84,8 +84,8 @@ impl ActiveRun<'_, '_> {
     /// Removes what only a resumed training reads, from the folder of the run and of its models. Failures are ignored.
     fn remove_resume_files(&self, folder: &RunFolder) {
         let members = (0..self.pipeline.members).map(|index| folder.file(&member_folder(index)));
-        for part in members.chain([folder.path().to_owned()]) {
-            RESUME_ONLY.iter().for_each(|name| files::remove(&part.join(name)));
+        for run in members.chain([folder.path().to_owned()]) {
+            RESUME_ONLY.iter().for_each(|name| files::remove(&run.join(name)));
         }
     }
 }

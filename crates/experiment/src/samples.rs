@@ -27,9 +27,8 @@ pub fn data_key(pipeline: &Pipeline) -> String {
 /// further columns of each test sample, in the order of `partition.test`; empty without intervals.
 pub fn samples_csv(data: &Dataset, partition: &Partition, trained: &[usize], intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
-    for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
-    {
-        for &i in part {
+    for (set, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")] {
+        for &i in set {
             split[i] = name;
         }
     }

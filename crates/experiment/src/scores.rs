@@ -126,8 +126,8 @@ impl IntervalScores {
     /// Returns the mean width at a measured coverage, interpolated between levels; `None` beyond them.
     pub fn width_at(&self, coverage: f64) -> Option<f64> {
         self.levels.windows(2).find_map(|ends| {
-            let part = (coverage - ends[0].coverage) / (ends[1].coverage - ends[0].coverage);
-            (0.0..=1.0).contains(&part).then(|| ends[0].width + part * (ends[1].width - ends[0].width))
+            let fraction = (coverage - ends[0].coverage) / (ends[1].coverage - ends[0].coverage);
+            (0.0..=1.0).contains(&fraction).then(|| ends[0].width + fraction * (ends[1].width - ends[0].width))
         })
     }
 

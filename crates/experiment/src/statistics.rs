@@ -160,7 +160,7 @@ fn crossed_mean(cells: &[&[BlockSum]], seeds: &[usize], blocks: &[usize]) -> Opt
 
 /// Smallest number of cubes with test transmitters, for a bootstrap.
 const WANTED: usize = 30;
-/// Limit of the edge, as a divisor of the room size.
+/// Longest side of the positions over the smallest edge of a cube.
 const FINEST: u32 = 256;
 
 /// Blocks of test samples for the bootstrap: cubes of space, or single samples if positions are unknown.

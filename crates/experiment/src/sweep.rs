@@ -61,7 +61,7 @@ impl SweepObserver for NoopObserver {
     fn on_run_end(&self, _: usize, _: &Result<RunOutcome>) {}
 }
 
-/// Creates the thread pool of one of `jobs` runs that share the threads of the calling pool.
+/// Creates the thread pool of one of `jobs` runs, one or more, that share the threads of the calling pool.
 ///
 /// # Errors
 /// Threads cannot be started.

@@ -122,14 +122,14 @@ pub(crate) fn read_csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> 
     if !text.ends_with('\n') {
         return Err(damaged(path, text.lines().count().max(1), "the file ends before the end of a row"));
     }
-    let placed = |e: csv::Error| {
+    let located = |e: csv::Error| {
         let problem = match e.kind() {
             csv::ErrorKind::Deserialize { err, .. } => err.kind().to_string(),
             _ => "the row has another number of fields than the first line".into(),
         };
         damaged(path, e.position().map_or(1, |p| p.line() as usize), &problem)
     };
-    csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
+    csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(located)).collect()
 }
 
 /// Creates the error of a damaged `line`, counted from 1, of the run file `path`.

@@ -28,7 +28,7 @@ use std::time::Instant;
 /// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
-/// Warns of a GPU without effect, or with little, after a step with `n` Gaussians; empty without a GPU.
+/// Returns warnings of a GPU without effect, or with little, after a step with `n` Gaussians; empty without a GPU.
 pub(crate) fn device_warnings(n: usize) -> Vec<String> {
     let Some(name) = device::name() else { return Vec::new() };
     if !device::is_used() {
@@ -309,13 +309,13 @@ fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
     late.map(|(_, value)| value).reduce(|best, value| if is_better(task, value, best) { value } else { best })
 }
 
-/// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the tail
+/// Scores `samples` (indices of links): mean and median of the first metric, then the mean of the second metric, or the tail
 /// of the first if there is no second.
-fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
-    let samples = EvaluationSet::new(data, part, &model.stages.plane);
+fn validate(step: u64, model: &Model, data: &Dataset, samples: &[usize]) -> Result<Validation> {
+    let set = EvaluationSet::new(data, samples, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
     let scored = ScoredPredictor { name: "the model", predictor: Predictor::Model(model, None), metrics: &metrics };
-    let measured = samples.score(scored, &mut Session::new(&mut NoopObserver))?;
+    let measured = set.score(scored, &mut Session::new(&mut NoopObserver))?;
     let Summary { mean, median, tail10 } = match measured.first().map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
         whole => {

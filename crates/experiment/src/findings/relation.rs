@@ -221,7 +221,7 @@ pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
     })
 }
 
-/// Returns the mean standard deviation of the levels at a receiver, dB.
+/// Returns the mean standard deviation of the levels at a receiver, dB; NaN if none has two links.
 fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
     let spread = |links: Vec<usize>| deviation(&links.iter().map(|i| powers[*i] as f64).collect::<Vec<f64>>());
     let groups = data.group_by_receiver(0..data.len()).into_iter();

@@ -107,8 +107,8 @@ impl Inspection {
         })
     }
 
-    /// Adds the sizes of a split and its scores, or the reason why the data do not support it; reports the
-    /// number of baselines `scored`.
+    /// Adds the sizes of a split and its scores, or the reason why the data do not support it. Calls `scored` with the number of
+    /// scored baselines after each.
     fn add_split(
         &mut self,
         scorer: &mut SplitScorer<'_>,

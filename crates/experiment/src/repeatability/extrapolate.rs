@@ -36,7 +36,7 @@ impl MetricScale {
     /// it stays.
     fn rescale(&self, value: f64, from: f64, to: f64) -> f64 {
         match (self.best - to) / (self.best - from) {
-            part if part.is_finite() => self.best - (self.best - value) * part,
+            factor if factor.is_finite() => self.best - (self.best - value) * factor,
             _ if self.best.is_finite() => value,
             _ => value + to - from,
         }
@@ -78,9 +78,10 @@ impl MetricScale {
     }
 }
 
-/// Returns the tricube weight (1 − t³)³ of `part`: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
-fn tricube(part: f64) -> f64 {
-    if part > 0.0 { (1.0 - part.powi(3)).powi(3) } else { 1.0 }
+/// Returns the tricube weight (1 − t³)³ of a distance `t`, relative to the farthest: 1 at zero, 0 at one. 1 for NaN, if all
+/// distances are zero.
+fn tricube(t: f64) -> f64 {
+    if t > 0.0 { (1.0 - t.powi(3)).powi(3) } else { 1.0 }
 }
 
 /// Straight line by weighted least squares.
