@@ -46,7 +46,7 @@ impl ReceiverGroup {
         self.links.iter().zip(&self.rows).map(one)
     }
 
-    /// Returns the index of the first link.
+    /// Returns the index of the first link of the group in the list of links.
     pub(crate) fn first_link(&self) -> usize {
         self.links[0]
     }
@@ -237,7 +237,7 @@ pub(crate) fn untrained_predictions(
     method.forward(&Call { setup, parameters, links, pixels: &PixelSubset::All }, &None).numbers
 }
 
-/// Initialises those parameters of the deformation that depend on the features or positions of the training set.
+/// Initialises those of the weights `network` of the deformation that depend on the features or positions of the training set.
 pub(crate) fn start_network(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
     if data.features.is_some() {
         let features: Vec<Real> = train.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();

@@ -178,20 +178,20 @@ impl RayBundle {
     /// Creates the rays of a receiver: those of `pixels` for a spectrum, otherwise those of the whole sky.
     pub(crate) fn new(method: &Nerf2, setup: &MeasurementSetup, receiver: usize, pixels: &PixelSubset) -> Self {
         let pose = &setup.receivers[receiver].pose;
-        let in_room = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
+        let in_world = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
         let directions = if setup.task.has_pixels {
             let plane = &setup.plane;
             let ray = |p: usize| {
                 let (column, row) = (p % plane.width, p / plane.width);
                 // `requires` rejects planes without directions.
-                in_room(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
+                in_world(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
             };
             match pixels {
                 PixelSubset::All => (0..setup.value_count()).map(ray).collect(),
                 PixelSubset::Same(pixels) | PixelSubset::Each(pixels) => pixels.iter().map(|&p| ray(p)).collect(),
             }
         } else {
-            method.sky_directions().into_iter().map(in_room).collect()
+            method.sky_directions().into_iter().map(in_world).collect()
         };
         let origin = pose.position.map(|x| x as Real / method.unit_m);
         let (far, last) = (method.far_m / method.unit_m, (method.samples - 1) as Real);

@@ -110,7 +110,7 @@ impl SplattedChannel {
         (ForwardOutput { numbers, cache }, StageTimes { network, blending, ..StageTimes::default() })
     }
 
-    /// Initialises the levels so that predicted channels are as strong as the measured ones, in any unit.
+    /// Multiplies all levels by the factor that makes predicted channels as strong as the measured ones, in any unit.
     fn start_level(
         &self,
         setup: &MeasurementSetup,

@@ -68,7 +68,7 @@ pub(crate) fn harmonics_order(columns: &[(&str, usize)]) -> usize {
     (0..HIGHEST).find(|order| 2 * (harmonic_count(*order) - 1) >= width).unwrap_or(HIGHEST)
 }
 
-/// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
+/// Returns the antenna positions of a receiver relative to its position, world axes, metres.
 fn antenna_positions(receiver: &Receiver, pose: Pose) -> Vec<[Real; 3]> {
     receiver.antennas.iter().map(|antenna| pose.turned(*antenna).map(|x| x as Real)).collect()
 }

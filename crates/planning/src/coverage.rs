@@ -125,7 +125,7 @@ pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Ve
     (0..draws).map(draw).collect()
 }
 
-/// Returns all subsets of `count` of `total` in lexicographic order; `None` if they are more than 100,000, or if `total` is
+/// Returns all subsets of `count` of `total` in lexicographic order; `None` if there are more than 100,000, or if `total` is
 /// smaller than `count`.
 pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
     // `count` and `total - count` give equally many subsets; up to half of `total`, every factor raises the product.

@@ -54,7 +54,7 @@ pub(crate) fn or_default<T: Default>(result: Result<T>) -> T {
 }
 
 impl GpuNerf2<'_> {
-    /// Divides `rays` rays into chunks.
+    /// Divides `rays` rays into chunks of at most [`chunk_rows`] samples, or of one ray.
     pub(crate) fn chunks(&self, rays: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let rows = chunk_rows(self.gpu, self.network.width(), encoded_width(FREQUENCIES));
         let size = (rows / self.samples).max(1);
@@ -214,7 +214,8 @@ impl GpuNerf2<'_> {
         Ok(d_terms)
     }
 
-    /// Returns the cotangents of the raw attenuations of a chunk, and of the raw emissions per pass, `[2 bands, R]` each.
+    /// Returns the cotangents of the raw attenuations of a chunk, and of the raw emissions per pass, `[2 bands, R]` each for R
+    /// samples.
     fn raw_cotangents(
         &self,
         groups: &[RayGroup<'_>],

@@ -56,7 +56,7 @@ impl GroupLinks {
         }
     }
 
-    /// Returns the index of the link of a ray in a pass.
+    /// Returns the index, among the requested links, of the link of a ray of the group in a pass.
     pub(crate) fn link_index(&self, pass: usize, ray: usize) -> usize {
         match self {
             Self::All(links) => links[pass].0,

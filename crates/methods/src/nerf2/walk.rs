@@ -104,7 +104,7 @@ impl SharedActivations {
 }
 
 impl RayWalk<'_> {
-    /// Returns the paths of a chunk from its raw attenuations, without hidden contributions.
+    /// Returns the paths of a chunk from its raw attenuations, without the hidden contributions, which the GPU holds.
     #[cfg(feature = "gpu")]
     pub(crate) fn paths(&self, attenuation: &[Real], rays: usize) -> SharedActivations {
         let (factors, segments) = self.path_factors(attenuation, rays);

@@ -24,13 +24,13 @@ pub(super) struct Waves {
     columns: usize,
 }
 
-/// Returns the antenna positions of a receiver `[A]`, metres from the origin of the room.
+/// Returns the antenna positions `[A]` of a receiver, metres from the origin of the setup.
 fn antenna_positions(setup: &MeasurementSetup, ReceiverState { receiver, pose }: ReceiverState) -> Vec<[f64; 3]> {
-    let in_room = |antenna: &[f64; 3]| {
+    let position = |antenna: &[f64; 3]| {
         let offset = pose.turned(*antenna);
         std::array::from_fn(|k| pose.position[k] + offset[k])
     };
-    setup.receivers[receiver].antennas.iter().map(in_room).collect()
+    setup.receivers[receiver].antennas.iter().map(position).collect()
 }
 
 /// Returns the vector from antenna to Gaussian, and its length of at least [`NEAREST_M`].

@@ -353,8 +353,8 @@ fn radius_splats(DrawnGroup { order, .. }: &DrawnGroup, d_rows: &[Real]) -> Spla
     Splats { radii, ..Splats::default() }
 }
 
-/// Returns the cotangents that statistics use: those of the centres, the first two columns of slot [`D_SPLATS`], and the
-/// weights.
+/// Returns the part of the backward pass that statistics use: the cotangents of the centres, the first two columns of slot
+/// [`D_SPLATS`], and the blending weights.
 fn render_vjp(DrawnGroup { order, shape, .. }: &DrawnGroup, d_splats: &[Real]) -> RenderVjp {
     let (mut means2d, mut weights) = (vec![[0.0; 2]; order.len()], vec![0.0; order.len()]);
     for (&i, row) in order.iter().zip(d_splats.chunks_exact(shape.derivatives())) {

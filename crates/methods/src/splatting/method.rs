@@ -59,7 +59,7 @@ impl Splatting {
         }
     }
 
-    /// Converts blended signals of the sky of a receiver `[links, channels, pixels]` to observations.
+    /// Converts blended signals `[links, channels, pixels]` of the sky of a receiver to observations `[links, values]`.
     pub(super) fn read_out(
         &self,
         call: &Call<'_>,

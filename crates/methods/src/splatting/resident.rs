@@ -216,7 +216,7 @@ fn draw_and_differentiate(step: &mut GpuStep<'_>, shape: &Drawing, device_step: 
     step.read(LOSSES, 0, 2);
 }
 
-/// Uploads values, moments and statistics.
+/// Uploads values and moments of Gaussians and weights, and the statistics.
 fn upload_state(step: &mut GpuStep<'_>, resident: &Resident, state: &TrainingState<'_>) {
     let [first, second] = &*state.cloud_moments;
     let clouds = [&*state.cloud, first, second];

@@ -107,7 +107,8 @@ impl Splatting {
         statistics
     }
 
-    /// Returns the statistics of one link, whose image is `drawing`.
+    /// Returns the statistics of one link, whose image is `drawing`; `jacobians` are empty unless one of them is the Fisher
+    /// information.
     fn link_statistics(
         &self,
         request: &SurveyRequest<'_>,

@@ -73,7 +73,7 @@ impl SearchGrid {
         (self.shells(step).iter().map(positions).sum::<f64>() as usize).max(1) * self.quats.len()
     }
 
-    /// Iterates over the cells with the spacing `step` in the innermost shell, by rotation.
+    /// Iterates over the cells with the spacing `step` in the innermost shell, rotation by rotation.
     pub(crate) fn cells(&self, step: f64) -> impl Iterator<Item = Cell> {
         let shells = self.shells(step);
         (0..self.quats.len() * shells.len()).flat_map(move |i| {

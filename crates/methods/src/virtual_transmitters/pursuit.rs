@@ -119,7 +119,8 @@ pub(crate) fn expected_pursuit_seconds(
 }
 
 impl PursuitOptions {
-    /// Splits the indices of the positions at random; returns those held out, and the fitted ones.
+    /// Splits the indices of the positions at random; returns those held out, and the fitted ones. None is held out if `hold_out`
+    /// is below 2 or above their number.
     fn split_held_out(&self, links: &ChannelInputs<'_>) -> (Vec<usize>, Vec<usize>) {
         let mut items: Vec<usize> = (0..links.positions.len()).collect();
         let hold_out = self.settings.hold_out;

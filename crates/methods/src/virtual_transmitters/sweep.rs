@@ -35,7 +35,7 @@ const KEPT: usize = 1 << 12;
 
 /// Returns the best `most` positions of `grid` for the channel less the field of `sources`, best first; the result is
 /// partial if `stop` is set. `levels` are from fine to coarse. The sweep starts from one of `share` cells, and keeps that
-/// share of cells per level. `report` receives the number of scored cells, and of all cells.
+/// share of cells per level. `report` receives the number of scored cells, and the expected number of all.
 pub(crate) fn sweep_cells(
     (levels, grid): (&[SearchLevel], &SearchGrid),
     sources: &VirtualSources,
@@ -79,7 +79,7 @@ pub(crate) fn score_cells((residual, ends): (&MeasurementRows, &[usize]), grid: 
     }
 }
 
-/// Returns the eighths of the best `most` cells, by rotation.
+/// Returns the eighths of the best `most` cells, sorted by rotation.
 fn divide_best_cells(mut cells: Vec<Cell>, most: usize) -> Vec<Cell> {
     cells.sort_by(compare_cells);
     cells.truncate(most);
