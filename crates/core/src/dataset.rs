@@ -287,7 +287,7 @@ impl Dataset {
         locations
     }
 
-    /// Returns the links of these locations; both lists are in ascending order.
+    /// Returns the links of these locations, one location after the other: in ascending order if the locations are.
     pub fn links_of(&self, locations: &[usize]) -> Vec<usize> {
         let begin = |l: usize| self.links.partition_point(|link| link.location < l);
         locations.iter().flat_map(|&l| begin(l)..begin(l + 1)).collect()

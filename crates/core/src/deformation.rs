@@ -21,8 +21,8 @@ pub trait Deformation: crate::plugin::PluginObject {
     /// the same weights, centres and pose, or `None`; both give bit-identical results.
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas;
 
-    /// Computes [`Self::forward`] without preparation, and values that [`Self::vjp`] reuses ([`DeformationInputs::kept`]):
-    /// `None`, or up to [`KEPT_BYTES`].
+    /// Computes [`Self::forward`] without preparation, and values that [`Self::vjp`] reuses ([`DeformationInputs::kept`]).
+    /// Those of each Gaussian and transmitter take at most [`KEPT_BYTES`] together. `None` if nothing is kept.
     fn forward_for_vjp(&self, inputs: &DeformationInputs<'_>) -> (Deltas, Cache) {
         (self.forward(inputs, &None), None)
     }
