@@ -216,7 +216,8 @@ impl SceneFile {
         room.chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
-    /// Returns the first problem of the scene, in words; `None` for a valid scene. [`Self::check_names`] is left out.
+    /// Returns the first problem of the scene, in words; `None` for a valid scene. Names are not checked again:
+    /// [`Self::check_names`] did when the scene was read.
     pub(crate) fn first_fault(&self) -> Option<String> {
         self.check().err().map(|fault| fault.message)
     }

@@ -269,6 +269,7 @@ fn create_metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFi
             let text = if scene.moving_receiver.is_none() {
                 receiver_yaml(name, &first.pose(), band, &hz, &antennas)
             } else {
+                // The table of poses has the receiver axes, in which its antennas do not move.
                 let in_receiver: Vec<[f64; 3]> =
                     antennas.iter().map(|antenna| first.pose().to_receiver(*antenna)).collect();
                 receiver_yaml(name, &Pose::IDENTITY, band, &hz, &in_receiver)

@@ -112,7 +112,7 @@ fn vertical_axis() -> [f64; 3] {
 }
 
 impl SceneReceiver {
-    /// Returns the receiver pose.
+    /// Returns the receiver pose, world frame.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation.quaternion() }
     }

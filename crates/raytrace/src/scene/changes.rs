@@ -55,8 +55,8 @@ impl SceneFile {
         if let Some(problem) = self.first_fault() { self.refuse(&problem) } else { Ok(self) }
     }
 
-    /// Returns the receiver at the `i`th `position` of `transmitter`, metres, with its stated orientation or at a random
-    /// angle; `None` if the receiver is fixed.
+    /// Returns the receiver at position `i` of `transmitter`, counted from 0: `position`, metres, with its stated orientation
+    /// or at a random angle of `seed`. `None` if the receiver is fixed.
     pub(crate) fn moved_receiver(&self, i: usize, position: DVec3, seed: u64) -> Option<SceneReceiver> {
         let moving = self.moving_receiver.as_ref()?;
         let receiver = SceneReceiver { position: position.to_array(), ..self.receiver.clone() };

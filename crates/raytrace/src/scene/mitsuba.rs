@@ -175,7 +175,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the value of an attribute with variables replaced; `None` without the attribute. Returns an error for an
-    /// unknown variable.
+    /// unknown variable or a value that is too long.
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
         expand_variables(name, value, &self.variables).map(Some).map_err(|problem| self.fault(node, problem))
@@ -215,8 +215,8 @@ impl<'a> Reader<'a> {
         value.ok_or_else(fault).map(Some)
     }
 
-    /// Reads a shape as an object with a hollow mesh, and adds a material inside it to `scene`. Returns an error for an
-    /// unsupported shape or transform, or a missing mesh or material.
+    /// Reads a shape as an object with a hollow mesh, since antennas may be inside, and adds a material inside its element to
+    /// `scene`. Returns an error for an unsupported shape or transform, or a missing mesh or material.
     fn read_shape(&mut self, node: Element<'a>, scene: &mut MitsubaScene) -> Result<Object> {
         let kind = self.required_attribute(node, "type")?;
         let name = self.attribute(node, "id")?.unwrap_or(format!("shape {}", scene.objects.len() + 1));

@@ -81,7 +81,7 @@ impl<'a> Contacts<'a> {
     }
 }
 
-/// Returns whether a point touches a face with these triangles.
+/// Returns whether a point touches one of these triangles of a face.
 pub(super) fn is_near_face(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
     let height = face.height(point);
     height.abs() < TOUCHING && triangles.iter().any(|t| t.contains(point - height * face.normal))
