@@ -100,7 +100,7 @@ impl Array {
 /// Returns the channel h `[elements, wavelengths]`: the sum over paths, eq. (1) of the paper, at each element.
 ///
 /// The paths lead to `centre`, the receiver position; `elements` are the element positions in the world. All are in
-/// metres. Each wavelength has its own wavenumber, so delays are exact; gains are common to all and include both antenna
+/// metres. Each wavelength has a separate wavenumber, so delays are exact; gains are common to all and include both antenna
 /// patterns. [`ArrayWavefront::Traced`] needs separate paths per element, which the simulator provides; here it is
 /// treated as `Spherical`.
 pub fn array_channel(

@@ -87,7 +87,7 @@ impl PreparedReceiver {
     }
 
     /// Returns the channel h `[antennas, frequencies]` of a transmitter at `tx`, metres, world frame, without receiver
-    /// errors; frequencies in Hz. Each frequency has its own wavenumber; path gains are those at the carrier.
+    /// errors; frequencies in Hz. Each frequency has a separate wavenumber; path gains are those at the carrier.
     ///
     /// `paths` are those of [`Self::trace`]. [`ArrayWavefront::Traced`] ignores them and traces `tx` to each antenna.
     pub fn channel(&self, tx: DVec3, paths: &[PropagationPath], frequencies: &[f64]) -> Vec<Complex> {

@@ -87,8 +87,8 @@ impl WorldBuilder {
         }
     }
 
-    /// Returns the pieces of an edge of `host` where the line `probe`, which runs beside it, is outside a convex
-    /// polygon. If only one of its two faces is removed, the other gets a rim.
+    /// Returns the pieces of an edge of `host` where the line `probe`, which runs beside it, is outside the convex polygon
+    /// with these `sides`. Where the polygon removes only one of two faces, the edge becomes a rim of the other.
     pub(super) fn cut_edge(&self, edge: Edge, host: u32, probe: [DVec3; 2], sides: &[Plane]) -> Vec<Edge> {
         let [a, b] = edge.ends;
         let tolerance = TOUCHING / a.distance(b);
