@@ -83,12 +83,8 @@ impl Marker {
         };
         // The fourth corner of an arm is the first of the next.
         let arm = [(0.34, 0.34), (1.0, 0.34), (1.0, -0.34)];
-        let plus: Vec<(f64, f64)> = (0..4)
-            .flat_map(|turn| {
-                let turned = move |(x, y): (f64, f64)| (0..turn).fold((x, y), |(x, y), _| (y, -x));
-                arm.iter().map(move |&p| turned(p))
-            })
-            .collect();
+        let turned = |arm: [(f64, f64); 3]| arm.map(|(x, y)| (y, -x));
+        let plus = [arm, turned(arm), turned(turned(arm)), turned(turned(turned(arm)))].concat();
         match self {
             Self::Circle => ring(24, 0.0, &[0.95]),
             Self::Square => ring(4, 45.0, &[1.2]),

@@ -4,7 +4,7 @@ use crate::canvas::{Colour, INK};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine, decimate_steps, phase_bands};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
-use pwrfgs_core::statistics::{self, quantile};
+use pwrfgs_core::statistics::{self, bounds, quantile};
 use pwrfgs_core::{Appearance, Headline};
 use pwrfgs_experiment::record::{VALIDATION_MEAN, VALIDATION_MEDIAN, series_column};
 use pwrfgs_experiment::{IntervalScores, LoadedRun, scores::MODEL};
@@ -122,12 +122,12 @@ fn draw_figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
 /// Draws the loss on a logarithmic axis: mean and range over short ranges of steps. `None` without points.
 fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let ranges: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(MOST_RANGES).max(1)).collect();
-    let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
-    let fold =
-        |s: &[(f64, f64)], f: fn(f64, f64) -> f64| middle(s, s.iter().map(|p| p.1).reduce(f).unwrap_or(f64::NAN));
-    let mean: Vec<_> = ranges.iter().map(|s| middle(s, s.iter().map(|p| p.1).sum::<f64>() / s.len() as f64)).collect();
-    let upper = ranges.iter().map(|s| fold(s, f64::max));
-    let range: Vec<_> = upper.chain(ranges.iter().rev().map(|s| fold(s, f64::min))).collect();
+    let at_middle = |part: &[(f64, f64)], loss: f64| (part[part.len() / 2].0, loss);
+    let losses = |part: &[(f64, f64)]| part.iter().map(|point| point.1).collect::<Vec<f64>>();
+    let mean: Vec<_> = ranges.iter().map(|part| at_middle(part, statistics::mean(losses(part)))).collect();
+    let upper = ranges.iter().map(|part| at_middle(part, bounds(losses(part)).1));
+    let lower = ranges.iter().rev().map(|part| at_middle(part, bounds(losses(part)).0));
+    let range: Vec<_> = upper.chain(lower).collect();
     let mut lines = vec![solid_line(mean, MODEL_COLOUR, 2.0)];
     if points.len() > ranges.len() {
         lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));

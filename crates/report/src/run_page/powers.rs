@@ -30,8 +30,8 @@ impl PowerPair {
     }
 }
 
-/// Returns the values for the template: figures, median and mean error (dB), counts, maps and examples. Links without a
-/// finite error are left out, except in the examples.
+/// Returns the values for `powers.html`: figures, median and mean error (dB), counts, unit of the powers, maps and examples. Links
+/// without a finite error are left out, except in the examples.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let mut pairs = Vec::with_capacity(run.partition.test.len());
     super::examples::for_each_link(run, &run.partition.test, |link, truth, prediction| {
@@ -49,6 +49,7 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
         mean => signed_db(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
         dots => pairs.len().min(DOTS),
         links => pairs.len(),
+        unit,
         maps => error_maps(run, by_link),
         examples => example_rows(run, chosen),
     }

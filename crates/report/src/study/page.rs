@@ -130,8 +130,8 @@ impl Section {
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
-        let mut message = lead_sentences(comparison, reference, compared);
-        let mut warnings = message.split_off(1);
+        let mut lead = lead_sentences(comparison, reference, compared);
+        let mut warnings = lead.split_off(1);
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.missing_score_warnings());
         warnings.extend(comparison.ambiguous_baseline_warnings());
@@ -146,7 +146,7 @@ impl Section {
         Self {
             name: (index + 1).to_string(),
             title: setting.title.clone(),
-            lead: message.concat(),
+            lead: lead.concat(),
             reference: compared.label.to_owned(),
             warnings,
             tables: tables.into_iter().flatten().collect(),
