@@ -164,7 +164,8 @@ impl OpenEvaluation<'_, '_, '_> {
         Ok(())
     }
 
-    /// Scores the members of an ensemble, if they are at most [`MOST_SHOWN`]; returns spread and error of all.
+    /// Scores the members of an ensemble, if they are at most [`MOST_SHOWN`], and adds them as predictors. Returns spread and
+    /// error of all members.
     fn score_members(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Confidence> {
         let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
         for (name, member) in model.names().iter().zip(shown) {

@@ -71,7 +71,7 @@ impl<'a> Predictor<'a> {
         }
     }
 
-    /// Returns whether metrics may time predictions.
+    /// Returns whether metrics may time predictions: not those of a model without facts.
     const fn is_timed(self) -> bool {
         !matches!(self, Self::Model(_, None))
     }

@@ -55,8 +55,8 @@ impl ActiveRun<'_, '_> {
         Ok(ensemble.with_calibration(calibration))
     }
 
-    /// Calibrates a fitted baseline by the lists of links that models left out; `None` if it does not predict from samples,
-    /// or no links are left out.
+    /// Calibrates a fitted baseline by the lists of links that models left out; `None` if it cannot leave links out, or if the
+    /// lists are empty.
     ///
     /// # Errors
     /// As [`Self::calibrate`].
@@ -90,7 +90,7 @@ impl ActiveRun<'_, '_> {
         IntervalCalibration::new(&blocks)
     }
 
-    /// Measures the intervals of a predictor with its name on the test set. Also returns those of [`LEVEL`] as columns of
+    /// Measures the intervals of a predictor, given with its name, on the test set. Also returns those of [`LEVEL`] as columns of
     /// `samples.csv`, a row per test link; empty with too few blocks for this level.
     ///
     /// # Errors

@@ -22,7 +22,7 @@ impl SplitData {
 }
 
 impl ActiveRun<'_, '_> {
-    /// Checks what the training of all models needs, before files are written.
+    /// Checks what the training of all models needs, on the first of them, before files are written.
     ///
     /// # Errors
     /// Invalid settings, too few known links for the folds, or too little memory.

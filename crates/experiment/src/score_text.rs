@@ -79,7 +79,8 @@ impl ScoreTable {
         notes.fold(text, |text, note| text + "note: " + note + "\n")
     }
 
-    /// Formats the table of the metrics `shown`, with `all` statistics or, except for the first metric of the task, one.
+    /// Formats the table of the metrics `shown`. A metric of samples has mean, median and percentile if `all`, or if it is the
+    /// first of the task; otherwise the mean alone.
     fn format_metrics(&self, shown: &[&MetricRow], all: bool) -> String {
         let share = self.share.map_or_else(String::new, |share| format!(" (b = {share})"));
         let name = |name: &String| match name.as_str() {

@@ -48,7 +48,7 @@ impl Summary {
     }
 }
 
-/// Reads a number that is stored as `null` if it is infinite, since JSON has no infinity.
+/// Reads a number, `null` as infinity: JSON has neither infinity nor NaN, and stores both as `null`.
 pub(crate) fn read_null_as_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
 }

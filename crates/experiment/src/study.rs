@@ -31,7 +31,7 @@ pub struct Study {
 }
 
 impl Study {
-    /// Reads sweep folders and run folders.
+    /// Reads sweep folders and run folders, and groups their runs.
     ///
     /// # Errors
     /// A folder of another kind, a damaged file, or no finished run.
@@ -110,8 +110,8 @@ impl Study {
         Ok(record)
     }
 
-    /// Removes runs that equal an earlier one, and adds their folders to `repeated`: counted twice, they would narrow the
-    /// intervals.
+    /// Removes runs with setting, variant and seed of an earlier one, and adds their folders to `repeated`: counted twice, they
+    /// would narrow the intervals.
     fn drop_duplicates(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut distinct_runs, mut keys) = (Vec::new(), Vec::new());
         for run in runs {

@@ -203,7 +203,7 @@ impl Training<'_, '_, '_> {
         until(settings.checkpoint_every).min(until(settings.validate_every))
     }
 
-    /// Writes snapshots, validation and row of the curve of a step.
+    /// Writes snapshots, validation and row of the curve of a step that took `seconds`, and passes them to the observer.
     fn record(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         if report.step == 1 {
             self.warn_of_device();

@@ -41,7 +41,7 @@ pub(super) fn check_channels(data: &Dataset) -> Vec<Finding> {
 
 /// Finds zero channels, in the data or left out when they were read; `None` without any.
 fn check_zeros(data: &Dataset, channels: &Channels) -> Option<Finding> {
-    let left_out = data.unmatched.positions;
+    let left_out = data.unmatched.positions; // readers of channels count zero ones here
     let problem = format!("{left_out} of {} channels are zero, not received, and are left out", data.len() + left_out);
     if left_out > 0 {
         return Some(Finding::new("zero-channels", left_out, problem, "check that these positions have no signal"));
@@ -209,7 +209,7 @@ impl<'a> Snapshot<'a> {
     }
 }
 
-/// Returns a gain as a vector.
+/// Returns a gain as the vector of its real and imaginary part.
 fn vector(gain: &[Real; 2]) -> DVec2 {
     DVec2::from_array(gain.map(|v| v as f64))
 }

@@ -38,7 +38,7 @@ pub(crate) fn format_extent([low, high]: Extent) -> String {
     format!("{} m", [0, 1, 2].map(axis).join(", "))
 }
 
-/// Returns the longest side, metres.
+/// Returns the longest side, in the unit of the extent.
 pub(crate) fn longest_side([low, high]: Extent) -> f64 {
     (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max)
 }

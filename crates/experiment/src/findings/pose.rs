@@ -136,8 +136,8 @@ fn list_sightings(data: &Dataset, spectra: &[SpectrumSummary]) -> Vec<Sighting> 
     evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS)
 }
 
-/// Returns the median angle after the rotation that fits best, degrees, that rotation, and its meaning; `moving` has the
-/// sightings of a moving receiver.
+/// Returns the median angle after the rotation that fits best, degrees, that rotation, and its meaning. `moving` has the
+/// sightings of a moving receiver; `None` for a fixed one.
 fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (f64, DQuat, Correction) {
     let turned = |pairs: &[DirectionPair], correction| {
         let rotation = best_rotation(pairs);

@@ -63,7 +63,7 @@ pub fn check_observed(data: &Dataset, observed: &[Real]) -> Option<Finding> {
     })
 }
 
-/// Returns the conversion to dBm from a unit.
+/// Describes the conversion to dBm from a unit.
 fn describe_conversion(unit: PowerUnit) -> String {
     let [_, name, formula] = unit.words();
     format!("if these are {name}, {formula}")

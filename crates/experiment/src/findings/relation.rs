@@ -119,7 +119,7 @@ impl LevelLinks {
         (covariance * covariance / (var_x * var_y), covariance / var_x)
     }
 
-    /// Returns the share of the variance that a falling line explains.
+    /// Returns the share of the variance that a line over the distance explains if it falls, otherwise 0.
     fn explained_share(&self, location: &dyn Fn(usize) -> Position, fixed: &dyn Fn(usize) -> Position) -> f64 {
         falling_share(self.fit(&|_| true, location, fixed))
     }

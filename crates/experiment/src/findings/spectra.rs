@@ -54,8 +54,8 @@ fn pixel_directions(plane: &ImagePlane) -> Vec<DVec3> {
     pixels.map(|pixel| DVec3::from_array(direction(pixel)).normalize_or_zero()).collect()
 }
 
-/// Returns the smallest and largest pixel, and the unit vector (receiver frame) to the centre of the largest; `None` for a
-/// constant image.
+/// Returns the smallest and largest pixel, and the unit vector (receiver frame) to the centre of the plateau of largest pixels;
+/// `None` for a constant image.
 fn range_and_direction(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>) {
     let widen = |(low, high): (Real, Real), p: &Real| (low.min(*p), high.max(*p));
     let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), widen);

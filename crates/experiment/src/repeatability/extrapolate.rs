@@ -33,7 +33,7 @@ pub(super) struct MetricScale {
 impl MetricScale {
     /// Moves `value` of a pair from a mean of `from` to a mean of `to`: its deficit to the best value scales like
     /// that of the mean. With an infinite best value it is shifted by the change of the mean. If `from` is the best value,
-    /// it stays.
+    /// it is unchanged.
     fn rescale(&self, value: f64, from: f64, to: f64) -> f64 {
         match (self.best - to) / (self.best - from) {
             factor if factor.is_finite() => self.best - (self.best - value) * factor,

@@ -30,8 +30,8 @@ pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> R
 }
 
 /// Estimates the seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]);
-/// densification makes later steps slower. Finished runs take none; if another seed has finished, its time is used.
-/// NaN, with a warning, if the steps fail.
+/// densification makes later steps slower. A run that has begun takes the rest, and a finished one none. If another seed has
+/// finished, its time is used. NaN, with a warning, if the steps fail.
 ///
 /// # Errors
 /// Same as [`check`], whose checks it makes.
@@ -83,8 +83,8 @@ fn unfinished_runs(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
     Ok(runs.iter().copied().filter(|&r| !matches!(plan.state(r), RunStage::Finished(_))).collect())
 }
 
-/// Initialises the first of the `open` runs of each combination. Returns the estimated seconds of a run for each combination
-/// that `is_timed` selects, unless the timed steps fail.
+/// Initialises the first of the `open` runs of each combination, and passes its warnings to the observer. Returns the estimated
+/// seconds of a run for each combination that `is_timed` selects, unless the timed steps fail.
 fn initialise_unfinished(
     plan: &SweepPlan,
     open: &[usize],
@@ -119,8 +119,8 @@ fn representatives(plan: &SweepPlan, runs: &[usize]) -> Vec<usize> {
     first
 }
 
-/// Initialises each of `runs`, loading data once for consecutive runs with the same data. Returns the results of `visit`,
-/// which gets the index of the run and its trainer.
+/// Checks and initialises each of `runs`, loading data once for consecutive runs with the same data. Returns the results of
+/// `visit`, which gets the index of the run and its trainer.
 fn initialise_each<R>(
     plan: &SweepPlan,
     runs: &[usize],
