@@ -172,7 +172,7 @@ impl Baseline for Predictions {
     }
 
     fn check(&self) -> Result<(), String> {
-        let is_free = !self.name.trim().is_empty() && self.name != "model";
+        let is_free = !self.name.trim().is_empty() && self.name != "model"; // the row of the model in tables
         is_free.then_some(()).ok_or_else(|| format!("`name` is `{}`; give the name of your method", self.name))
     }
 

@@ -24,7 +24,7 @@ impl Survey<'_> {
             let problem = "holds no received power; write one row per reading, or check --missing";
             return Err(Error::input(path, problem));
         }
-        (self.groups, self.places.first) = Default::default(); // frees memory: no row follows
+        (self.groups, self.positions.first) = Default::default(); // frees memory: no row follows
         self.separate_repetitions();
         self.readings.sort_unstable_by_key(|reading| (reading.location, reading.receiver));
         let receivers = self.linked_receivers();
@@ -34,16 +34,16 @@ impl Survey<'_> {
         let powers: Vec<Real> = self.readings.iter().map(|reading| reading.dbm).collect();
         let is_test: Vec<bool> =
             self.readings.iter().map(|reading| self.spots[reading.location as usize].is_test).collect();
-        (self.readings, self.spots, self.places) = Default::default(); // the data set has them now
+        (self.readings, self.spots, self.positions) = Default::default(); // the data set has them now
         let receivers: Vec<Receiver> = receivers.into_iter().flatten().collect();
         let mut data =
             Dataset::of_columns(&self.import.title, receivers.into(), vec![], locations, links, powers.into())?;
-        let part = |test: bool| (0..is_test.len()).filter(|i| is_test[*i] == test).collect::<Vec<usize>>();
-        data.official = (!self.import.test.is_empty()).then(|| (part(false), part(true)));
+        let links_of = |test: bool| (0..is_test.len()).filter(|i| is_test[*i] == test).collect::<Vec<usize>>();
+        data.official = (!self.import.test.is_empty()).then(|| (links_of(false), links_of(true)));
         data.estimate_receivers(&(0..data.len()).collect::<Vec<_>>());
         (data.scene.geodetic, data.scene.floors) = (self.frame.geodetic, std::mem::take(&mut self.floors));
         data.simulation = self.import.is_simulated.then(Simulation::default);
-        let after = preview(&data);
+        let after = describe_first_locations(&data);
         Ok(ImportedTable { data, notes: self.notes, before: self.before, after })
     }
 
@@ -88,7 +88,7 @@ impl Survey<'_> {
         let mut is_linked = vec![false; self.receivers.len()];
         self.readings.iter().for_each(|reading| is_linked[reading.receiver as usize] = true);
         let create = |(receiver, is_linked): (&NamedReceiver, bool)| {
-            let pose = Pose::from(receiver.position.unwrap_or(self.places.positions[0]));
+            let pose = Pose::from(receiver.position.unwrap_or(self.positions.list[0]));
             let named = Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) };
             is_linked.then_some(named)
         };
@@ -114,7 +114,7 @@ impl Survey<'_> {
         for (next, receiver) in (0..receivers.len()).filter(|r| receivers[*r].is_some()).enumerate() {
             new_receivers[receiver] = next;
         }
-        let pose = |spot: &Spot| Pose::from(self.places.positions[spot.place as usize]);
+        let pose = |spot: &Spot| Pose::from(self.positions.list[spot.position as usize]);
         let locations = self.spots.iter().enumerate().map(|(id, spot)| Location { id: id as u32, pose: pose(spot) });
         let link = |reading: &Reading| Link {
             location: reading.location as usize,
@@ -123,7 +123,7 @@ impl Survey<'_> {
         (locations.collect(), self.readings.iter().map(link).collect())
     }
 
-    /// Notes what was joined, left out and assumed.
+    /// Notes what was joined, left out and assumed; `receivers` are `None` if they are left out.
     fn add_notes(&mut self, receivers: &[Option<Receiver>]) {
         let coded = self.import.missing.iter().zip(&self.coded);
         self.notes.extend(coded.map(|(code, count)| format!("{count} cells are {code}, not received")));
@@ -138,7 +138,7 @@ impl Survey<'_> {
             ),
             (self.unreceived_rows, "rows reached no receiver and are left out".into()),
             (self.repeated, "readings repeat a link: each has a location at the same position".into()),
-            (self.places.joined, "positions are within 1 mm of another and are joined with it".into()),
+            (self.positions.joined, "positions are within 1 mm of another and are joined with it".into()),
             (
                 self.respelled.len(),
                 format!("receiver names differ from another only by case and are joined: {}", list(respelled)),
@@ -154,8 +154,8 @@ impl Survey<'_> {
     }
 }
 
-/// Describes the first transmitters and their powers, one line each.
-fn preview(data: &Dataset) -> Vec<String> {
+/// Describes the first locations and their powers, one line each.
+fn describe_first_locations(data: &Dataset) -> Vec<String> {
     let line = |l: usize| {
         let [x, y, z] = data.locations[l].position();
         let links = data.links_of(&[l]);

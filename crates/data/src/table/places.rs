@@ -107,41 +107,41 @@ impl Frame {
 
 /// Positions so far, each once within [`SAME_M`].
 #[derive(Default)]
-pub(super) struct Places {
-    pub(super) positions: Vec<[f64; 3]>,
-    /// First place in each cube of that edge, and the next one in the cube of each place.
+pub(super) struct PositionList {
+    pub(super) list: Vec<[f64; 3]>,
+    /// First position in each cube of that edge, and the next one in the cube of each position.
     pub(super) first: HashMap<[i64; 3], u32>,
     next: Vec<Option<NonZero<u32>>>,
     /// Number of positions that were joined with another one.
     pub(super) joined: usize,
 }
 
-impl Places {
+impl PositionList {
     /// Returns the index of a position so far within [`SAME_M`], else of this position, which is added.
     pub(super) fn index(&mut self, position: [f64; 3]) -> u32 {
         let cell = position.map(|v| (v / SAME_M).floor() as i64);
         // The cube of the position and those around it.
         let offsets = (0..27).map(|k| [k / 9 - 1, k / 3 % 3 - 1, k % 3 - 1]);
-        let is_same = |place: &u32| distance(self.positions[*place as usize], position) < SAME_M;
+        let is_same = |index: &u32| distance(self.list[*index as usize], position) < SAME_M;
         let same = offsets.flat_map(|offset| self.cube([0, 1, 2].map(|k| cell[k] + offset[k]))).find(is_same);
-        if let Some(place) = same {
-            self.joined += usize::from(self.positions[place as usize] != position);
-            return place;
+        if let Some(index) = same {
+            self.joined += usize::from(self.list[index as usize] != position);
+            return index;
         }
-        let place = self.positions.len() as u32;
-        self.positions.push(position);
+        let index = self.list.len() as u32;
+        self.list.push(position);
         let last = self.cube(cell).last();
         match last {
-            Some(last) => self.next[last as usize] = NonZero::new(place),
-            None => _ = self.first.insert(cell, place),
+            Some(last) => self.next[last as usize] = NonZero::new(index),
+            None => _ = self.first.insert(cell, index),
         }
         self.next.push(None);
-        place
+        index
     }
 
-    /// Returns the places in a cube, in their order.
+    /// Returns the indices of the positions in a cube, in ascending order.
     fn cube(&self, cell: [i64; 3]) -> impl Iterator<Item = u32> {
-        let next = |place: &u32| self.next[*place as usize].map(NonZero::get);
+        let next = |index: &u32| self.next[*index as usize].map(NonZero::get);
         std::iter::successors(self.first.get(&cell).copied(), next)
     }
 }

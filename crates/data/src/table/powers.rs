@@ -13,7 +13,7 @@ const LARGEST: f64 = 300.0;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum PowerColumns {
     /// A row per reading: column of the power, of the receiver, and of the position of the receiver.
-    Long { power: usize, receiver: Option<usize>, place: Option<PositionColumns> },
+    Long { power: usize, receiver: Option<usize>, receiver_position: Option<PositionColumns> },
     /// A row per transmitter, a column per receiver.
     Wide(Vec<usize>),
 }
@@ -43,7 +43,7 @@ impl ColumnSearch<'_> {
         }
         let is_name = |name: &String| self.named(name).is_none();
         let receiver = match &self.choice.receiver {
-            Some(name) if is_name(name) => None,
+            Some(name) if is_name(name) => None, // the only receiver
             choice => self.find("--receiver", choice.as_ref(), RECEIVER)?,
         };
         let may_be_names = |k: &usize| !used.contains(k) && !is_one_of(&self.names[*k], OTHER) && self.has_names(*k);
@@ -53,7 +53,8 @@ impl ColumnSearch<'_> {
             let advice = "name it with --receiver, or give --receiver NAME if there is one receiver";
             return Err(self.fault(format!("{column} may be the column of the receivers; {advice}")));
         }
-        Ok(PowerColumns::Long { power, receiver, place: self.receiver_position_columns(is_lat_lon) })
+        let receiver_position = self.receiver_position_columns(is_lat_lon);
+        Ok(PowerColumns::Long { power, receiver, receiver_position })
     }
 
     /// Returns whether a column holds several names, in two rows each on average, and no number.

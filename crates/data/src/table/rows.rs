@@ -9,7 +9,7 @@ use pwrfgs_core::messages::quoted;
 use std::collections::BTreeMap;
 
 /// Position of a row.
-pub(super) enum RowPlace {
+pub(super) enum RowPosition {
     Columns(PositionColumns),
     /// Column with the name of a place.
     Name(usize),
@@ -20,7 +20,7 @@ pub(super) enum RowPlace {
 /// Columns of one table.
 pub(super) struct RowReader<'a> {
     pub(super) table: &'a TableText<'a>,
-    pub(super) place: RowPlace,
+    pub(super) position: RowPosition,
     pub(super) floor: Option<usize>,
     pub(super) powers: PowerColumns,
     /// Columns that identify a transmitter.
@@ -37,24 +37,26 @@ impl<'a> RowReader<'a> {
         search: &ColumnSearch<'a>,
     ) -> Result<Self> {
         let table = search.table;
-        let place = if import.tx.is_some() {
-            RowPlace::Next
+        let position = if import.tx.is_some() {
+            RowPosition::Next
         } else if import.places.is_some() {
-            RowPlace::Name(search.place_column(named)?)
+            RowPosition::Name(search.place_column(named)?)
         } else {
             let advice = "name its columns with --x and --y or --lat and --lon, give the positions row by row with --tx \
                           FILE, or of places with --places FILE. Positions in another table that share only the time \
                           must be joined first";
             let columns = search.position_columns(import.is_lat_lon)?;
-            RowPlace::Columns(columns.ok_or_else(|| search.fault(format!("no position was recognised; {advice}")))?)
+            RowPosition::Columns(columns.ok_or_else(|| search.fault(format!("no position was recognised; {advice}")))?)
         };
-        let has_height = matches!(place, RowPlace::Columns(columns) if columns.height.is_some());
+        let has_height = matches!(position, RowPosition::Columns(columns) if columns.height.is_some());
         let floor = if has_height { None } else { search.floor_column()? };
-        let used = match place {
-            RowPlace::Columns(columns) => columns.all().chain(floor).collect(),
-            RowPlace::Name(column) => vec![column],
-            RowPlace::Next => Vec::new(),
-        };
+        let transmitter = search.transmitter_columns()?;
+        let mut used: Vec<usize> = floor.into_iter().chain(transmitter.iter().copied()).collect();
+        match position {
+            RowPosition::Columns(columns) => used.extend(columns.all()),
+            RowPosition::Name(column) => used.push(column),
+            RowPosition::Next => {}
+        }
         let powers = search.power_columns(&used, import.is_lat_lon)?;
         // A file per receiver has its name; a single file may have it in the header.
         let receiver_name = match (&import.columns.receiver, &powers) {
@@ -64,14 +66,14 @@ impl<'a> RowReader<'a> {
             }
             _ => table.path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         };
-        Ok(Self { table, place, floor, powers, transmitter: search.transmitter_columns()?, receiver_name })
+        Ok(Self { table, position, floor, powers, transmitter, receiver_name })
     }
 
     /// Describes the columns in one sentence, with those that are not used.
     pub(super) fn describe(&self, import: &TableImport, search: &ColumnSearch<'_>) -> String {
         let mut used: Vec<usize> = self.floor.into_iter().chain(self.transmitter.iter().copied()).collect();
-        let place = match self.place {
-            RowPlace::Columns(columns) => {
+        let position = match self.position {
+            RowPosition::Columns(columns) => {
                 used.extend(columns.all());
                 let unit = if columns.is_geodetic { "degrees" } else { "metres" };
                 let given = format!("height {} m (set --height METRES)", import.height.unwrap_or(0.0));
@@ -85,15 +87,16 @@ impl<'a> RowReader<'a> {
                 };
                 format!("positions in {} ({unit}), {height}", search.list(columns.plane))
             }
-            RowPlace::Name(column) => {
+            RowPosition::Name(column) => {
                 used.push(column);
                 format!("places in {}", search.list([column]))
             }
-            RowPlace::Next => "positions row by row from another file".into(),
+            RowPosition::Next => "positions row by row from another file".into(),
         };
         let powers = match &self.powers {
-            PowerColumns::Long { power, receiver, place } => {
-                used.extend([*power].into_iter().chain(*receiver).chain(place.iter().flat_map(|place| place.all())));
+            PowerColumns::Long { power, receiver, receiver_position } => {
+                used.extend([*power].into_iter().chain(*receiver));
+                used.extend(receiver_position.iter().flat_map(|columns| columns.all()));
                 let at =
                     receiver.map_or(quoted(&self.receiver_name), |k| format!("the receivers in {}", search.list([k])));
                 format!("powers in {} at {at}", search.list([*power]))
@@ -106,6 +109,6 @@ impl<'a> RowReader<'a> {
         let unused = (0..self.table.names.len()).filter(|k| !used.contains(k)).map(|k| &*self.table.names[k]);
         let unused = list(unused);
         let unused = if unused.is_empty() { unused } else { format!("; not used: {unused}") };
-        format!("{place}; {powers}{unused}")
+        format!("{position}; {powers}{unused}")
     }
 }

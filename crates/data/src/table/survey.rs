@@ -3,9 +3,9 @@
 use super::columns::ColumnSearch;
 use super::names::Affixes;
 use super::options::TableImport;
-use super::places::{Frame, Places, SAME_M};
+use super::places::{Frame, PositionList, SAME_M};
 use super::powers::PowerColumns;
-use super::rows::{RowPlace, RowReader};
+use super::rows::{RowPosition, RowReader};
 use crate::checks::power_fault;
 use crate::dialect::{SPLIT_ADVICE, TableFile, TableText};
 use crate::text::{TextField, TextRow, is_empty_cell};
@@ -34,7 +34,7 @@ pub(super) struct Reading {
 #[derive(Clone, Copy)]
 pub(super) struct Spot {
     /// Index of the position.
-    pub(super) place: u32,
+    pub(super) position: u32,
     pub(super) is_test: bool,
 }
 
@@ -52,9 +52,9 @@ pub(super) struct Survey<'a> {
     pub(super) named: BTreeMap<String, [f64; 3]>,
     /// Positions row by row, if they are in another file.
     pub(super) rows: Option<std::vec::IntoIter<[f64; 3]>>,
-    pub(super) places: Places,
+    pub(super) positions: PositionList,
     pub(super) spots: Vec<Spot>,
-    /// Transmitters of rows of one reading each: place, cells of its ID and time, test set.
+    /// Transmitters of rows of one reading each: position, cells of its ID and time, test set.
     pub(super) groups: HashMap<(u32, Box<str>, bool), u32>,
     /// Receivers, those of --receivers first.
     pub(super) receivers: Vec<NamedReceiver>,
@@ -92,7 +92,7 @@ impl<'a> Survey<'a> {
             frame,
             named: named.unwrap_or_default(),
             rows: rows.map(Vec::into_iter),
-            places: Places::default(),
+            positions: PositionList::default(),
             spots: Vec::new(),
             groups: HashMap::new(),
             receivers: Vec::new(),
@@ -162,9 +162,9 @@ impl<'a> Survey<'a> {
         let receivers = self.column_receivers(&names);
         for row in reader.table.counted_rows(progress) {
             let row = row?;
-            let place = self.position_index(reader, &row)?;
+            let position = self.position_index(reader, &row)?;
             let location = self.spots.len() as u32;
-            self.spots.push(Spot { place, is_test });
+            self.spots.push(Spot { position, is_test });
             for (&column, &receiver) in columns.iter().zip(&receivers) {
                 // A row may end early: its last cells are empty.
                 let Some(field) = row.fields.get(column) else { break };
@@ -197,17 +197,17 @@ impl<'a> Survey<'a> {
 
     /// Adds a table with a row per reading. Returns an error for an invalid row.
     fn add_long(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
-        let PowerColumns::Long { power, receiver, place: receiver_place } = reader.powers else { return Ok(()) };
+        let PowerColumns::Long { power, receiver, receiver_position } = reader.powers else { return Ok(()) };
         for row in reader.table.counted_rows(progress) {
             let row = row?;
-            let place = self.position_index(reader, &row)?;
+            let position = self.position_index(reader, &row)?;
             let cell = |k: usize| row.cell((k, &reader.table.names[k]), "give every row all columns");
             let name = receiver.map_or(Ok(&*reader.receiver_name), |k| cell(k).map(|field| field.text))?;
             let receiver = self.receiver_index(name);
-            if let Some(columns) = receiver_place {
-                let position = self.frame.read(reader.table, &row, columns, self.import.height.unwrap_or(0.0))?;
-                let first = self.receivers[receiver as usize].position.get_or_insert(position);
-                if distance(*first, position) > SAME_M {
+            if let Some(columns) = receiver_position {
+                let placed = self.frame.read(reader.table, &row, columns, self.import.height.unwrap_or(0.0))?;
+                let first = self.receivers[receiver as usize].position.get_or_insert(placed);
+                if distance(*first, placed) > SAME_M {
                     let problem = format!("receiver {} has another position in an earlier row", quoted(name));
                     return Err(row.fault(1, format!("{problem}; give one position per receiver")));
                 }
@@ -215,9 +215,9 @@ impl<'a> Survey<'a> {
             let Some(dbm) = self.read_power(&row, cell(power)?)? else { continue };
             let cells =
                 reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
-            let group = (place, cells.join("\u{1f}").into(), is_test); // U+001F: unit separator
+            let group = (position, cells.join("\u{1f}").into(), is_test); // U+001F: unit separator
             let location = *self.groups.entry(group).or_insert_with(|| {
-                self.spots.push(Spot { place, is_test });
+                self.spots.push(Spot { position, is_test });
                 self.spots.len() as u32 - 1
             });
             self.readings.push(Reading { location, receiver, dbm });
@@ -225,8 +225,8 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// Returns the index of the position of a row in `places`, where a new one is added, and adds its floor to `floors`. Returns
-    /// an error if the position is missing or invalid, or for a floor that is no number.
+    /// Returns the index of the position of a row in `positions`, where a new one is added, and adds its floor to `floors`.
+    /// Returns an error if the position is missing or invalid, or for a floor that is no number.
     fn position_index(&mut self, reader: &RowReader<'_>, row: &TextRow<'_>) -> Result<u32> {
         let TableImport { height, floor_height, .. } = self.import;
         let mut height = height.unwrap_or(0.0);
@@ -236,20 +236,20 @@ impl<'a> Survey<'a> {
             height += floor * floor_height.unwrap_or(0.0);
             self.floors.insert(field.text.to_owned(), height);
         }
-        let position = match reader.place {
-            RowPlace::Columns(columns) => self.frame.read(reader.table, row, columns, height)?,
-            RowPlace::Name(column) => {
+        let position = match reader.position {
+            RowPosition::Columns(columns) => self.frame.read(reader.table, row, columns, height)?,
+            RowPosition::Name(column) => {
                 let field = row.cell((column, &reader.table.names[column]), "give every row a place")?;
                 *self.named.get(field.text).ok_or_else(|| {
                     row.fault(field.column, format!("{} is no place of --places; add it there", quoted(field.text)))
                 })?
             }
-            RowPlace::Next => {
+            RowPosition::Next => {
                 let next = self.rows.as_mut().and_then(Iterator::next);
                 next.ok_or_else(|| row.fault(1, "the file of --tx has fewer rows; give a position per row"))?
             }
         };
-        Ok(self.places.index(position))
+        Ok(self.positions.index(position))
     }
 
     /// Returns the index of a receiver, which is added if it is new; spellings that differ by case are one.

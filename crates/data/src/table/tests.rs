@@ -282,6 +282,13 @@ fn other_files_state_places_receivers_and_test_set() {
 }
 
 #[test]
+fn chosen_columns_are_not_powers() {
+    let text = "x,y,level,nr,roof,hall\n0,0,1,7,-40,-50\n1,0,1,8,-41,-51\n";
+    let import = columns(|c| (c.floor, c.tx_id) = (Some("level".into()), Some("nr".into())));
+    assert_eq!(powers(&read(text, import).unwrap()), [-40.0, -50.0, -41.0, -51.0]);
+}
+
+#[test]
 fn floors_need_a_height() {
     let text = "x,y,floor,w1,w2\n0,0,0,-40,-50\n0,0,2,-41,-51\n";
     assert!(
