@@ -1,6 +1,8 @@
 //! Table of `NeWRF`'s conference room: number of virtual transmitters, search time and SNR.
 //!
 //! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-methods --example newrf -- 433 928 2400`
+//!
+//! Environment variables set the options: see `read_options`. `VERBOSE` prints the progress and the sources.
 
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::unwrap_used, clippy::disallowed_methods)] // a table for developers
 
@@ -21,7 +23,7 @@ struct Band {
 
 /// Reads a band by the name of its files, the frequency in MHz.
 fn read_band(name: &str) -> Band {
-    let folder = shared("data/newrf").expect("the data are at hand");
+    let folder = shared("data/newrf").expect("`PWRFGS_SHARED` names the folder of the data");
     let frequency = match name {
         "2400" => 2.412e9,
         name => name.parse::<f64>().unwrap() * 1e6,
@@ -30,43 +32,46 @@ fn read_band(name: &str) -> Band {
     let mut reader = csv::Reader::from_path(folder.join(positions)).unwrap();
     let positions = reader.deserialize::<[Real; 3]>().map(Result::unwrap).collect();
     let bytes = std::fs::read(folder.join(format!("csi_{name}MHz.npy"))).unwrap();
-    // complex64, with 128 bytes of header or the length in its length field.
+    // complex64 after the header, whose length is in bytes 8 and 9.
     let start = 10 + u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
     let floats: Vec<Real> = bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
     Band { frequency, positions, channel: floats.as_chunks::<2>().0.to_vec() }
 }
 
-fn main() {
-    let verbose = std::env::var_os("VERBOSE").is_some();
+/// Reads the options of a search from environment variables, such as `MOST`; other options have their defaults.
+fn read_options() -> PursuitOptions {
     let set = |name: &str, default: f64| std::env::var(name).map_or(default, |v| v.parse().unwrap());
+    let default = MatchingPursuit::default();
+    let settings = MatchingPursuit {
+        reach: set("REACH", default.reach),
+        step: set("STEP", default.step),
+        most: set("MOST", default.most as f64) as usize,
+        patience: set("PATIENCE", default.patience as f64) as usize,
+        hold_out: set("HOLD", default.hold_out as f64) as usize,
+        ridge: set("RIDGE", default.ridge),
+        images: set("IMAGES", 1.0) > 0.0,
+        rounds: set("ROUNDS", default.rounds as f64) as usize,
+        ..default
+    };
+    let default = PursuitOptions::default();
+    PursuitOptions {
+        settings,
+        peaks: set("PEAKS", default.peaks as f64) as usize,
+        order: set("ORDER", 0.0) as usize,
+        seed: set("SEED", 0.0) as u64,
+        ..default
+    }
+}
+
+fn main() {
+    let (options, verbose) = (read_options(), std::env::var_os("VERBOSE").is_some());
     for name in std::env::args().skip(1) {
         let band = read_band(&name);
-        let n = band.positions.len();
-        let train = n - n / 5;
+        let train = band.positions.len() - band.positions.len() / 5; // the last fifth is the test set
         let frequencies = [band.frequency];
         let links = |p| ChannelInputs { positions: p, antennas: &[[0.0; 3]], frequencies: &frequencies };
         let (before, after) = band.positions.split_at(train);
         let (h, h_after) = band.channel.split_at(train);
-        let default = MatchingPursuit::default();
-        let settings = MatchingPursuit {
-            reach: set("REACH", default.reach),
-            step: set("STEP", default.step),
-            most: set("MOST", default.most as f64) as usize,
-            patience: set("PATIENCE", default.patience as f64) as usize,
-            hold_out: set("HOLD", default.hold_out as f64) as usize,
-            ridge: set("RIDGE", default.ridge),
-            images: set("IMAGES", 1.0) > 0.0,
-            rounds: set("ROUNDS", default.rounds as f64) as usize,
-            ..default
-        };
-        let defaults = PursuitOptions::default();
-        let options = PursuitOptions {
-            settings,
-            peaks: set("PEAKS", defaults.peaks as f64) as usize,
-            order: set("ORDER", 0.0) as usize,
-            seed: set("SEED", 0.0) as u64,
-            ..defaults
-        };
         let each: Vec<&[[Real; 2]]> = h.chunks(1).collect();
         let start = Instant::now();
         let mut report_progress = |sources| {
