@@ -1,4 +1,4 @@
-//! Validation of data sets from folders, `import` or arrays in memory.
+//! Validation of data sets from folders, `import` or arrays in memory, and of frequencies.
 
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra, carrier_fault};

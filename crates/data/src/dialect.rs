@@ -21,6 +21,9 @@ use std::path::{Path, PathBuf};
 const EXAMINED: usize = 60;
 /// Separators in order of preference; `None`: blanks.
 const MARKS: [Option<char>; 5] = [Some('\t'), Some(';'), Some(','), Some('|'), None];
+/// First bytes of a zip archive, and of a gzip file.
+const ZIP: &[u8] = b"PK\x03\x04";
+const GZIP: &[u8] = b"\x1f\x8b";
 /// Limit of the file of a table, whose text may be converted. [`TableText::check_rows`] limits what is read from it.
 const MAX_TABLE: ReadLimit = ReadLimit::Held(2);
 /// Next step for a table that does not fit into memory.
@@ -114,10 +117,10 @@ impl<'a> TableText<'a> {
     /// content that is not text.
     fn decode(path: &'a Path, bytes: Cow<'a, [u8]>) -> Result<Self> {
         let refuse = |problem: &str| Err(Error::input(path, problem));
-        if bytes.starts_with(b"PK") {
+        if bytes.starts_with(ZIP) {
             return refuse("is an archive, as .xlsx is; save the sheet as CSV and import that");
         }
-        let bytes = if bytes.starts_with(&[0x1f, 0x8b]) { expand(path, &bytes)?.into() } else { bytes };
+        let bytes = if bytes.starts_with(GZIP) { expand(path, &bytes)?.into() } else { bytes };
         if bytes.contains(&0) {
             return refuse("is not text; save the table as CSV in UTF-8");
         }

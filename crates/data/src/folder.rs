@@ -1,7 +1,7 @@
 //! Functions shared by all readers and writers of data folders.
 
 use crate::geometry::read_points;
-use crate::text::{TextRow, read_text};
+use crate::text::{TextRow, read_text, unreadable_error};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Dataset, Error, Geodetic, Pose, Receiver, Result, Simulation, carrier_fault, files, position_fault};
@@ -66,6 +66,30 @@ pub(crate) fn read_point_cloud(base: &Path, points: Option<&Path>) -> Result<Vec
 /// Returns the name of a folder, without control characters; `unnamed` for a path without a name, such as `..`.
 pub(crate) fn folder_name(root: &Path) -> String {
     strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
+}
+
+/// Returns the paths of the files in a folder by id: those named by a number with this `extension`. `advice` is the next
+/// step if the folder does not exist. Returns an error for a repeated id.
+pub(crate) fn list_numbered_files(folder: &Path, extension: &str, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
+    let mut files = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| unreadable_error(folder, e, "folder", advice))? {
+        let path = entry.map_err(|e| Error::read(folder, e))?.path();
+        let Some(id) = parse_file_id(&path, extension) else { continue };
+        if let Some(other) = files.insert(id, path.clone()) {
+            // The folder order is arbitrary; the message must not depend on it.
+            let (first, second) = if other < path { (other, path) } else { (path, other) };
+            let name = first.file_name().unwrap_or_default().to_string_lossy();
+            return Err(Error::input(&second, format!("{name} is id {id} as well; remove one of the two")));
+        }
+    }
+    Ok(files)
+}
+
+/// Parses the id in a file name such as `00012.png`; `None` for other names and other extensions.
+fn parse_file_id(path: &Path, extension: &str) -> Option<u32> {
+    let stem = path.file_stem()?.to_str()?;
+    let has_extension = path.extension()?.eq_ignore_ascii_case(extension);
+    (has_extension && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
 }
 
 /// Unit of received powers of receivers that are not calibrated.

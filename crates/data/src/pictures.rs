@@ -1,7 +1,8 @@
 //! `spectrum/NNNNN.png` and other images: all of one size, decoded in parallel.
 
 use crate::colormap::Colormap;
-use crate::text::{read_bytes, unreadable_error};
+use crate::folder::list_numbered_files;
+use crate::text::read_bytes;
 use image::{
     ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult,
     Limits, codecs::png::PngDecoder,
@@ -35,30 +36,6 @@ pub(crate) fn list_images(folder: &Path, advice: &str) -> Result<BTreeMap<u32, P
         Some(path) => Err(Error::input(path, "invalid id 0; ids count from 1, so number the images from 00001")),
         None => Ok(images),
     }
-}
-
-/// Returns the paths of the files in a folder by id: those named by a number with this `extension`. `advice` is the next
-/// step if the folder does not exist. Returns an error for a repeated id.
-pub(crate) fn list_numbered_files(folder: &Path, extension: &str, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
-    let mut files = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).map_err(|e| unreadable_error(folder, e, "folder", advice))? {
-        let path = entry.map_err(|e| Error::read(folder, e))?.path();
-        let Some(id) = parse_file_id(&path, extension) else { continue };
-        if let Some(other) = files.insert(id, path.clone()) {
-            // The folder order is arbitrary; the message must not depend on it.
-            let (first, second) = if other < path { (other, path) } else { (path, other) };
-            let name = first.file_name().unwrap_or_default().to_string_lossy();
-            return Err(Error::input(&second, format!("{name} is id {id} as well; remove one of the two")));
-        }
-    }
-    Ok(files)
-}
-
-/// Parses the id in a file name such as `00012.png`; `None` for other names and other extensions.
-fn parse_file_id(path: &Path, extension: &str) -> Option<u32> {
-    let stem = path.file_stem()?.to_str()?;
-    let has_extension = path.extension()?.eq_ignore_ascii_case(extension);
-    (has_extension && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
 }
 
 /// Function that decodes one image.

@@ -45,7 +45,8 @@ fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Ve
 fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     let mut seen = BTreeSet::new();
     let transmitters = links.iter().map(|i| data.links[*i].location).filter(|t| seen.insert(*t)).collect();
-    let validation: BTreeSet<usize> = hold_out(transmitters, share, rng).1.into_iter().collect();
+    let (_, validation) = hold_out(transmitters, share, rng);
+    let validation: BTreeSet<usize> = validation.into_iter().collect();
     links.into_iter().partition(|i| !validation.contains(&data.links[*i].location))
 }
 

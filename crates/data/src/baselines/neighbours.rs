@@ -236,7 +236,8 @@ fn link_coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
 impl Predict for Lookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         let coordinates = link_coordinates(self.data.scene.moving, query);
-        weighted_mean(self.data, &self.weighted_neighbours(&coordinates, |_| true).1)
+        let (_, weighted) = self.weighted_neighbours(&coordinates, |_| true);
+        weighted_mean(self.data, &weighted)
     }
 }
 
@@ -294,7 +295,7 @@ impl Predict for CarrierLookup<'_> {
     /// carrier.
     fn predict(&self, query: Query<'_>) -> Image {
         let log_hz = |receiver: usize| self.data.scene.receivers[receiver].carrier_hz.unwrap_or(1.0).ln();
-        let distance = |carrier: &&(usize, Nearest)| (log_hz(carrier.0) - log_hz(query.receiver)).abs();
+        let distance = |(carrier, _): &&(usize, Nearest)| (log_hz(*carrier) - log_hz(query.receiver)).abs();
         let mut carriers: Vec<_> = self.carriers.iter().collect();
         carriers.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
         let mut matches = carriers.iter().map(|(_, links)| links.find(&query.position(), 1)).peekable();

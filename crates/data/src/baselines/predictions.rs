@@ -1,7 +1,7 @@
 //! `Predictions`: predictions of another program for the test set, read from a folder.
 
 use crate::dialect::read_columns;
-use crate::pictures::list_numbered_files;
+use crate::folder::list_numbered_files;
 use crate::text::read_bytes;
 use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;

@@ -282,6 +282,12 @@ fn other_files_state_places_receivers_and_test_set() {
 }
 
 #[test]
+fn header_may_begin_as_an_archive_does() {
+    let imported = read("PK,x,y,w1,w2\n7,0,0,-40,-50\n8,1,0,-41,-51\n", TableImport::default()).unwrap();
+    assert_eq!(powers(&imported), [-40.0, -50.0, -41.0, -51.0]);
+}
+
+#[test]
 fn chosen_columns_are_not_powers() {
     let text = "x,y,level,nr,roof,hall\n0,0,1,7,-40,-50\n1,0,1,8,-41,-51\n";
     let import = columns(|c| (c.floor, c.tx_id) = (Some("level".into()), Some("nr".into())));
