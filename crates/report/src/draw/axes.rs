@@ -58,7 +58,7 @@ impl AxisScale {
         (coordinate - self.ends.0) / (self.ends.1 - self.ends.0)
     }
 
-    /// Returns the ticks that `fits` allows on an axis of this length: their pixels of plotters, and their labels.
+    /// Returns the ticks that `fits` allows on an axis of this length: their positions in pixels of plotters, and their labels.
     fn keyed_ticks(&self, length: f64, fits: &dyn Fn(&[Tick]) -> bool) -> (Vec<i32>, Vec<String>) {
         let key = |tick: Tick| (pixels(length * self.fraction(tick.0)), tick.1);
         ticks(self.ends, self.log, fits).into_iter().map(key).unzip()

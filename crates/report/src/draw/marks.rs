@@ -14,10 +14,10 @@ const DASHES: [Stroke; 3] = [Stroke::DASHED, Stroke::DOTTED, Stroke::DASH_DOTTED
 /// Colour of published values.
 const GREY: Colour = Colour::hex(0x6e_727a);
 
-/// Four stages from dark to light, which differ in lightness.
+/// Colours of four stages, from dark to light.
 pub(crate) const SHADES: [u32; 4] = [0x12_3a6b, 0x3f_7fb8, 0x93_c0de, 0xe6_f0f7];
 
-/// Approximate size of a mark.
+/// Approximate radius of a mark.
 const RADIUS: f64 = 3.6;
 
 /// Stroke of a line.

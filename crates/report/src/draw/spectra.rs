@@ -32,7 +32,7 @@ impl ColourScale {
         }
     }
 
-    /// Returns the smallest and largest value.
+    /// Returns the smallest and largest value of the scale.
     fn range(self) -> (f64, f64) {
         match self {
             Self::Power => (0.0, 1.0),

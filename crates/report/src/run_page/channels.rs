@@ -21,7 +21,7 @@ const MARKS: usize = 70;
 /// Dimensions of three charts in a row.
 const ROW_STYLE: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
-/// Returns the values for the template: charts of the examples, or the complex plane for single numbers, and the views of
+/// Returns the values for `channels.html`: charts of the examples, or the complex plane for single numbers, and the views of
 /// virtual transmitters.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let data = run.data;
@@ -188,7 +188,7 @@ fn frequency_axis(frequencies: &[f64]) -> (Vec<f64>, String) {
     (frequencies.iter().map(|f| (f - middle) / unit).collect(), words)
 }
 
-/// Returns the ratio of two powers in decibels, at least [`FLOOR_DB`]; that if the reference is 0.
+/// Returns the ratio of two powers in decibels, at least [`FLOOR_DB`], which is also returned if the reference is 0.
 pub(super) fn decibels(power: f64, reference: f64) -> f64 {
     if reference > 0.0 { (10.0 * (power / reference).log10()).max(FLOOR_DB) } else { FLOOR_DB }
 }

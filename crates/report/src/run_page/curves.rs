@@ -59,7 +59,7 @@ fn select_best<T>(
 /// Colour of the second curve of the model, and of its members.
 const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 
-/// Heading and chart.
+/// Heading and SVG.
 type Figure = (String, String);
 
 /// Returns heading and SVG of every figure for which there are numbers.
@@ -168,7 +168,8 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
 const GROUPS: usize = 10;
 
 /// Draws the error of an ensemble against the spread of its members: median, and range from the 10th to the 90th percentile, of
-/// groups of equal numbers of test samples. Returns it with the rank correlation of both; `None` for a single model.
+/// groups of equal numbers of test samples. Returns it with the rank correlation of both; `None` for a single model,
+/// or if all members agree exactly.
 pub(super) fn confidence_chart(run: &LoadedRun<'_>) -> Option<Value> {
     let measured = run.record.confidence.as_ref()?;
     let groups = measured.group_by_spread(GROUPS);
@@ -238,9 +239,10 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
 }
 
 /// Returns the ends of the axis of a metric for the `sorted` values of each predictor, rounded outwards:
-/// - SSIM: from the lowest value, but not below minus the best possible one, to the best possible one;
-/// - error: from the best possible value to that above the share [`INSIDE`] of each predictor, at least 1;
-/// - SNR, which has no best value: from that below the share [`INSIDE`] to the highest; −1 to 1 without a range.
+/// - SSIM: from the lowest value, at least minus the best possible one, to the best possible one;
+/// - error: from the best possible value to the quantile [`INSIDE`] of the worst predictor, at least 1;
+/// - SNR, without a best possible value: from the quantile 1 − [`INSIDE`] of the worst predictor to the highest value;
+///   −1 to 1 if that range is empty.
 fn axis_ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match (headline.best, headline.higher) {

@@ -114,8 +114,8 @@ pub(super) fn is_time(metric: &MetricRow) -> bool {
 }
 
 impl ComparisonRow<'_> {
-    /// Returns the values of the runs that have one and are not NaN; training time and share only of variants, and
-    /// training sets only of predictors trained here.
+    /// Returns the values of the runs that have one, without NaN; training time and share only of variants, and training sets
+    /// only of predictors trained here.
     pub(super) fn values(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Vec<f64> {
         let value = |run: &&Record| match statistic {
             SummaryStatistic::Whole if metric.key == TRAINING => {

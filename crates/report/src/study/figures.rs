@@ -69,7 +69,7 @@ impl Figure {
     fn from_chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
         let mut style = ChartStyle::COLUMN;
         if !chart.bands.is_empty() {
-            style.margins[1] = 40.0; // for the names of the phases
+            style.margins[1] = 40.0; // top: for the names of the phases
         }
         Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
@@ -112,7 +112,7 @@ type FromScores = fn(&Setting) -> Option<Figure>;
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
 /// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
-/// at most six curves; `chosen` names their variants or methods. `progress` counts figures.
+/// at most six curves; `chosen` names their variants or methods, the best if empty. `progress` counts figures.
 pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>) -> FigureSet {
     let ShownVariants { all, methods, curves, spread, common } = &ShownVariants::of(setting, chosen);
     let from_scores: [(&Setting, FromScores); 9] = [

@@ -62,7 +62,7 @@ pub fn write(study: &Study, options: &ReportOptions, out: &Path, observer: &mut 
     // Removes the folder of figures if it is empty.
     _ = std::fs::remove_dir(out.join("figures"));
     write_list(out, names)?;
-    Ok(text_tables(&page))
+    Ok(format_tables(&page))
 }
 
 /// Returns the names and bytes of all files except [`LIST`]. The page is the last: a new folder with a page is
@@ -81,7 +81,7 @@ fn report_files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(files)
 }
 
-/// Rejects symbolic links: a report replaces and removes files, and only its own.
+/// Rejects a symbolic link at `out`, its list or its folders: a report replaces and removes only its own files.
 fn refuse_links(out: &Path) -> Result<()> {
     let paths = [out.to_owned(), out.join(LIST), out.join("tables"), out.join("figures")];
     let is_link = |path: &&std::path::PathBuf| path.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink());
@@ -92,7 +92,7 @@ fn refuse_links(out: &Path) -> Result<()> {
 }
 
 /// Returns the list of files in `out`; empty for a new folder. Rejects paths that are not folders, and folders with
-/// files but without a list of a report.
+/// files but without a valid list of a report.
 fn read_list(out: &Path) -> Result<FileList> {
     let path = out.join(LIST);
     let Some(text) = files::if_found(&path, files::read_string(&path))? else {
@@ -168,7 +168,7 @@ fn table_context<'a>(table: &'a Table, printed: &mut Vec<&'a str>) -> Value {
 }
 
 /// Formats the tables of every setting that fit a terminal, with warnings and notes; then the runs that are left out.
-fn text_tables(page: &StudyPage) -> String {
+fn format_tables(page: &StudyPage) -> String {
     let mut out = String::new();
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
@@ -188,8 +188,8 @@ fn text_tables(page: &StudyPage) -> String {
     out.split_inclusive('\n').map(|line| single_line(line.trim_end_matches('\n')) + "\n").collect()
 }
 
-/// Formats a cell with deviation or interval and its mark; `n/a` without a number.
-fn cell_text(shown: &FormattedValue) -> String {
+/// Formats a cell with deviation or interval and its mark, a blank if it has none; `n/a` without a number.
+fn format_cell(shown: &FormattedValue) -> String {
     let mark = match shown.mark {
         RankMark::None => " ",
         RankMark::Best | RankMark::Clear => "*",
@@ -209,7 +209,7 @@ fn text_lines(table: &Table) -> Vec<Vec<String>> {
         |text: fn(&TableColumn) -> String| [String::new()].into_iter().chain(table.columns.iter().map(text)).collect();
     let heads = [head(|c| format!("{} {} ", c.title, c.arrow)), head(|c| format!("{} ", c.detail))];
     let line =
-        |line: &TableLine| [single_line(&line.label)].into_iter().chain(line.cells.iter().map(cell_text)).collect();
+        |line: &TableLine| [single_line(&line.label)].into_iter().chain(line.cells.iter().map(format_cell)).collect();
     heads.into_iter().chain(table.lines.iter().map(line)).collect()
 }
 

@@ -42,7 +42,7 @@ pub(super) struct Section {
     /// Stem of its files: `1`, `2`, ..
     pub(super) name: String,
     pub(super) title: String,
-    /// Title with a few words about the data.
+    /// Sentence with the numbers of variants, runs, baselines and samples.
     pub(super) lead: String,
     /// Label of the reference of differences.
     pub(super) reference: String,

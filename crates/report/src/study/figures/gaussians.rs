@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 const MARKS: usize = 6;
 /// Maximum number of names at the ends of lines.
 const MOST_NAMES: usize = 16;
-/// End of the axis over the last step that changes N, if trainings differ in length.
+/// Ratio of the end of the axis to the last step that changes N, if trainings differ in length.
 const AFTER: f64 = 1.5;
 
 /// Draws N against training steps; `None` if there is nothing to draw.

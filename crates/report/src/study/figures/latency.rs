@@ -73,7 +73,7 @@ fn machines(setting: &Setting) -> Vec<String> {
     distinct(setting.runs().map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)))
 }
 
-/// Draws the bars with names, axis and legend.
+/// Draws the bars with names, axis and legend; the axis ends at the `longest` bar, milliseconds.
 fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
     let labels: Vec<Vec<String>> = bars.iter().map(|b| wrap_text(b.label, NAMES)).collect();
     let names = labels.iter().flatten().map(|line| text_width(line)).fold(0.0, f64::max);

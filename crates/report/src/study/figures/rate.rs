@@ -9,7 +9,7 @@ use minijinja::context;
 use pwrfgs_core::{Baseline, Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
 use pwrfgs_experiment::{EvaluationSet, NoopObserver, Predictor, Record, ScoredPredictor, Session, Setting};
 
-/// Ends of the axis and steps between, dB.
+/// Ends of the axis, dB, and number of steps between them.
 const LOW_DB: f64 = -20.0;
 const HIGH_DB: f64 = 30.0;
 const STEPS: usize = 20;

@@ -1,6 +1,6 @@
 use super::panels::spectra_columns;
 use super::shown::one_variant_per_method;
-use super::tradeoff::strategy_lines;
+use super::tradeoff::method_lines;
 use super::{Figure, draw_figures, gaussians};
 use crate::canvas::outside;
 use crate::draw::charts::LineName;
@@ -52,7 +52,7 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
             variant.label = name.into();
         }
         assert_eq!(study.settings[0].variants.len(), count);
-        let lines = strategy_lines(&study.settings[0], "ssim");
+        let lines = method_lines(&study.settings[0], "ssim");
         let points = lines.iter().map(|line| line.points.len()).sum::<usize>();
         assert_eq!((lines.len(), points), (curves, count), "one curve per strategy");
         if count == 6 {

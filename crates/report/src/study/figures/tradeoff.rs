@@ -63,7 +63,7 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if ParetoComparison::of(setting).is_some() {
         return None; // too many variants for marks with names: the figures of methods have one line per method
     }
-    let mut lines = strategy_lines(setting, score.key);
+    let mut lines = method_lines(setting, score.key);
     if lines.is_empty() {
         return None;
     }
@@ -77,7 +77,7 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
 }
 
 /// Returns the curve of each method that has this score over N.
-pub(super) fn strategy_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
+pub(super) fn method_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let families = VariantFamily::group(setting);
     families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &COSTS[N], key, true)).collect()
 }
@@ -88,8 +88,8 @@ fn axis_value(key: &str, score: f64) -> f64 {
     if is_rate_ratio(key) { 1.0 - score } else { score }
 }
 
-/// Returns the style of the `k`th baseline, called `name`: that of an external method, after those of [`CURVES`] variants,
-/// or of a baseline. It is the same in all figures.
+/// Returns the style of the `k`th baseline, called `name`, the same in all figures. Predictions of another program have a style
+/// after those of [`CURVES`] variants.
 pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
     if setting.is_external(name) { Style::external(CURVES + k) } else { Style::baseline(k) }
 }
@@ -105,8 +105,8 @@ fn baseline_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     grey_baselines(setting).into_iter().chain([ceiling]).filter_map(line).collect()
 }
 
-/// Returns whether these are the measured spectra of the published numbers, by the name of the data:
-/// the name that NeRF2 uses.
+/// Returns whether the data of all runs are the measured spectra of the published numbers: their name has the word `s23`, as
+/// NeRF2 calls them.
 fn is_s23(setting: &Setting) -> bool {
     let names = |title: &str| title.split(|c: char| !c.is_alphanumeric()).any(|word| word.eq_ignore_ascii_case("s23"));
     !setting.simulated && setting.runs().all(|run| names(&run.facts.data))
