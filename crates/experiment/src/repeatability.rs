@@ -332,8 +332,8 @@ fn id_gaps(data: &Dataset, partition: &Partition) -> Vec<u32> {
     partition.test.iter().map(gap).collect()
 }
 
-/// Chooses pairs near in time if ids follow time and at least half of the `gaps` of [`id_gaps`] are at most [`FAR_IDS`], otherwise
-/// pairs far apart. Also returns the reason.
+/// Chooses pairs near in time if ids follow time and at least half of the `gaps` of [`id_gaps`] are at most [`FAR_IDS`],
+/// otherwise pairs far apart. Also returns the reason.
 fn choose_lag(data: &Dataset, gaps: &[u32]) -> (PairLag, String) {
     if !is_in_time_order(data) {
         return (PairLag::Far, "since samples with consecutive ids are not close in space".into());

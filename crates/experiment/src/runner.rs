@@ -240,4 +240,12 @@ mod tests {
         assert_eq!(note(&rows[..2], Keep::Last), None);
         assert_eq!(note(&[], Keep::Last), None);
     }
+
+    #[test]
+    fn any_number_is_better_than_nan() {
+        for task in Task::ALL {
+            assert!(is_better(task, 0.5, f64::NAN) && !is_better(task, f64::NAN, 0.5) && !is_better(task, 0.5, 0.5));
+        }
+        assert!(is_better(Task::Spectrum, 0.9, 0.8) && is_better(Task::Power, 0.8, 0.9));
+    }
 }

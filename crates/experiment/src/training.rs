@@ -203,7 +203,7 @@ impl Training<'_, '_, '_> {
         until(settings.checkpoint_every).min(until(settings.validate_every))
     }
 
-    /// Writes snapshots, validation and row of the curve of a step that took `seconds`, and passes them to the observer.
+    /// Writes snapshots, validation and row of the curve of a step that took `seconds`, and reports it to the observer.
     fn record(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         if report.step == 1 {
             self.warn_of_device();
@@ -298,9 +298,9 @@ impl Training<'_, '_, '_> {
     }
 }
 
-/// Returns whether a validation `value` is better than `other`.
+/// Returns whether a validation `value` is better than `other`. NaN is worse than any number.
 pub(crate) fn is_better(task: Task, value: f64, other: f64) -> bool {
-    if task.headline.higher { value > other } else { value < other }
+    task.headline.cost(value) < task.headline.cost(other)
 }
 
 /// Returns the best mean of the validations in `rows` after step `from`; `None` without one.

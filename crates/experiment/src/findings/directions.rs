@@ -1,6 +1,6 @@
 //! Checks whether the strongest directions of spectra depend on the recorded positions: another unit, or another order of rows.
 
-use super::finding::Finding;
+use super::finding::{Finding, moving_end};
 use super::pose::{FOLLOWS, MUCH_BETTER, PoseCheck, PoseVerdict, has_room};
 use super::positions::round;
 use super::relation::{MEANINGS, Meaning, check_rows};
@@ -40,8 +40,9 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
     if degrees < (MUCH_BETTER * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
         let problem = format!(
             "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \
-             transmitter {} at {:?})",
+             {} {} at {:?})",
             pose.recorded,
+            moving_end(data),
             data.sample(directions[0].0).id,
             round(data.sample(directions[0].0).position())
         );

@@ -60,10 +60,15 @@ impl Display for Finding {
     }
 }
 
+/// Returns the noun of the end that moves.
+pub(super) fn moving_end(data: &Dataset) -> &'static str {
+    if data.scene.moving.is_receiver() { "receiver pose" } else { "transmitter" }
+}
+
 /// Names a link in a sentence: `transmitter 17 at receiver g2`.
 pub(super) fn name_link(data: &Dataset, link: usize) -> String {
     let sample = data.sample(link);
-    let (end, id) = (if data.scene.moving.is_receiver() { "receiver pose" } else { "transmitter" }, sample.id);
+    let (end, id) = (moving_end(data), sample.id);
     match &data.scene.receivers[..] {
         [_] => format!("{end} {id}"),
         receivers => {

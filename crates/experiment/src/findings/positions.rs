@@ -1,7 +1,7 @@
 //! Checks of the positions: equal ones, their unit, degrees, and an index or a time in place of a coordinate.
 
 use super::cloud::{extent, longest_side};
-use super::finding::Finding;
+use super::finding::{Finding, moving_end};
 use pwrfgs_core::neighbours::{distance, nearest_others};
 use pwrfgs_core::statistics::{deviation, mean, median};
 use pwrfgs_core::{Dataset, Real};
@@ -39,8 +39,9 @@ pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
     let Some(first) = positions.first().filter(|_| positions.len() > 1) else { return Vec::new() };
     let count = positions.len();
     if positions.iter().all(|position| position == first) {
-        let problem = format!("all {count} transmitters are at {first:?}");
-        return vec![Finding::new("equal-positions", count, problem, "give each transmitter its own position")];
+        let end = moving_end(data);
+        let problem = format!("all {count} {end}s are at {first:?}");
+        return vec![Finding::new("equal-positions", count, problem, format!("give each {end} its own position"))];
     }
     let unit = if data.camera().is_some() {
         None
@@ -80,8 +81,9 @@ fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     };
     let axis = (0..3).find(is_index).filter(|_| positions.len() >= ROWS)?;
     let (name, step, at, id) = (["x", "y", "z"][axis], middle(axis), positions[0][axis], data.locations[0].id);
+    let end = moving_end(data);
     let problem = format!(
-        "{name} rises by {step:.3} from row to row, as an index or a time does (for example {at} at transmitter {id})"
+        "{name} rises by {step:.3} from row to row, as an index or a time does (for example {at} at {end} {id})"
     );
     Some(Finding::new("index-coordinate", positions.len(), problem, "give x, y and z in metres"))
 }
@@ -96,10 +98,10 @@ fn is_to_and_fro(steps: &[f64], step: f64) -> bool {
 /// Finds positions that are probably in degrees or in another unit of length; `None` if metres are plausible.
 fn check_unit(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let [low, high] = extent(positions.iter().copied())?.map(round);
-    let (site, id) = (longest_side([low, high]), data.locations[0].id);
+    let (site, end, id) = (longest_side([low, high]), moving_end(data), data.locations[0].id);
     let spacing = median_spacing(positions);
     let finding = |name: &str, problem: String, mend: &str| {
-        let problem = format!("{problem} (for example transmitter {id} at {:?})", round(positions[0]));
+        let problem = format!("{problem} (for example {end} {id} at {:?})", round(positions[0]));
         Some(Finding::new(name, positions.len(), problem, mend))
     };
     let horizontal = (high[0] - low[0]).max(high[1] - low[1]);
@@ -119,7 +121,7 @@ fn check_unit(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
         return None;
     }
     let problem =
-        format!("the site is {site:.0} m long and the median distance to the nearest transmitter is {spacing:.1} m");
+        format!("the site is {site:.0} m long and the median distance to the nearest {end} is {spacing:.1} m");
     let mend = "if these are millimetres or centimetres, convert them to metres";
     match data.observations.powers() {
         Some(powers) => finding("large-site", format!("{problem}, {}", large_site_fault(data, powers, site)?), mend),
@@ -153,4 +155,19 @@ fn large_site_fault(data: &Dataset, powers: &[Real], site: f64) -> Option<String
     let limit =
         format!("and the links are {:.0} dB stronger than those of 4 W in free space", strength - STRONGEST_DBM);
     (strength > STRONGEST_DBM).then_some(limit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Ends, Pose, Receiver, Sample};
+
+    #[test]
+    fn finding_names_the_end_that_moves() {
+        let ends = Ends::of_moving_receivers(vec![Receiver::new("array", Pose::IDENTITY)], None);
+        let samples = [1, 2].map(|id| Sample::new(id, Pose::IDENTITY));
+        let powers = vec![-40.0, -50.0].into();
+        let data = Dataset::of_links("hall", ends, vec![], &samples, powers).unwrap();
+        assert_eq!(check_positions(&data)[0].problem, "all 2 receiver poses are at [0.0, 0.0, 0.0]");
+    }
 }

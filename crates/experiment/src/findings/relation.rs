@@ -1,7 +1,7 @@
 //! Checks whether observations depend on the recorded positions: level against distance, with other meanings of the positions,
 //! and whether neighbours are more alike than random pairs.
 
-use super::finding::{Finding, name_link};
+use super::finding::{Finding, moving_end, name_link};
 use pwrfgs_core::neighbours::{Nearest, distance};
 use pwrfgs_core::statistics::{deviation, evenly, mean};
 use pwrfgs_core::{Dataset, Link, Real, rng};
@@ -167,7 +167,7 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let recorded = links.explained_share(&location, &fixed);
     let by_meaning = MEANINGS.map(|Meaning { finding, words, mend, position }| {
         let share = links.explained_share(&|at| position(location(at)), &fixed);
-        (share, finding, format!("positions of the transmitters {words}"), mend.to_owned())
+        (share, finding, format!("positions of the {}s {words}", moving_end(data)), mend.to_owned())
     });
     let last = links.locations.len() - 1;
     let reversed = links.explained_share(&|at| location(last - at), &fixed);
@@ -248,7 +248,8 @@ pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usi
     let draws: Vec<f64> = (0..DRAWS).map(|_| average(&mut |_| rng::below(&mut random, rows.len()))).collect();
     let (middle, deviation) = (mean(draws.iter().copied()), deviation(&draws));
     let problem = format!(
-        "observations of neighbours are no more alike than of random pairs (for example transmitters {} and {})",
+        "observations of neighbours are no more alike than of random pairs (for example {}s {} and {})",
+        moving_end(data),
         data.locations[rows[chosen[0]]].id,
         data.locations[rows[*nearest.first()?]].id
     );
