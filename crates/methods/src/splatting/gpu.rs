@@ -30,9 +30,7 @@ pub(super) enum Cotangents<'a> {
 /// by splats and by Gaussians.
 const RESULTS: usize = 4;
 
-/// Values per Gaussian in slots [`CLOUD`], [`TERMS`] and [`D_ROWS`].
-const CLOUD_WIDTH: usize = WIDTHS[0];
-const TERMS_WIDTH: usize = WIDTHS[1];
+/// Values per Gaussian in slot [`D_ROWS`].
 const ROW_WIDTH: usize = WIDTHS[3];
 
 /// Links with one geometry.
@@ -226,9 +224,8 @@ impl Splatting {
         for group in ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry) {
             let order = groups.last().filter(|last| last.group.row == group.row).map(|last| Arc::clone(&last.order));
             let order = order.unwrap_or_else(|| Mercator::depth_order(&p.cloud.means, &group.state.pose).into());
-            let (gaussians, size) = (p.cloud.len(), (plane.width, plane.height));
-            let (links, channels) = (group.links.len(), self.readout.channel_count());
-            let shape = Drawing { gaussians, links, size, channels, readout, has_terms };
+            let (gaussians, links, size) = (p.cloud.len(), group.links.len(), (plane.width, plane.height));
+            let shape = Drawing { gaussians, links, size, channels: self.readout.channel_count(), readout, has_terms };
             let view = ReceiverView { pose: group.state.pose, plane: plane.clone() };
             groups.push(DrawnGroup { group, view, shape, order });
         }
@@ -249,7 +246,7 @@ impl Splatting {
         let DrawnGroup { group, view, shape, order, .. } = drawn;
         let n = cloud.len();
         if last != Some(group.row) {
-            let mut rows = Vec::with_capacity(CLOUD_WIDTH * n);
+            let mut rows = Vec::with_capacity(WIDTHS[0] * n); // the columns of slot `CLOUD`
             for i in order.iter().map(|&i| i as usize) {
                 rows.extend([cloud.means[i], cloud.log_scales[i]].as_flattened());
                 rows.extend(cloud.quats[i]);
@@ -263,7 +260,7 @@ impl Splatting {
         }
         let (terms, batch) = group.gather_terms(deltas, n);
         if shape.has_terms {
-            let mut rows = Vec::with_capacity(TERMS_WIDTH * n);
+            let mut rows = Vec::with_capacity(WIDTHS[1] * n); // the columns of slot `TERMS`
             for i in order.iter().map(|&i| batch.start * n + i as usize) {
                 rows.extend(terms.scales.get(i).copied().unwrap_or_default());
                 rows.extend(terms.quats.get(i).copied().unwrap_or_default());

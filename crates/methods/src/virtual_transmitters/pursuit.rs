@@ -269,8 +269,7 @@ impl<'a> PursuitSearch<'a> {
     /// Removes half of the best sources, one after the other, each time that with the smallest loss of fit; replaces
     /// `best` whenever the score improves.
     fn remove_sources(&self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
-        let mut sources = best.1.clone();
-        let before = sources.len();
+        let (mut sources, before) = (best.1.clone(), best.1.len());
         while sources.len() > (before / 2).max(1) && !self.is_stopped() {
             let costs = costs_without_each(&self.rows, &sources, self.smallest_ridge());
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
@@ -305,8 +304,7 @@ impl<'a> PursuitSearch<'a> {
     /// less than the previous best: a better candidate may then exist.
     fn next_candidate(&mut self, sources: &VirtualSources, report_progress: &mut dyn FnMut(f64)) -> Option<Peak> {
         let residual = self.rows.residual(sources);
-        let mut best = None;
-        let apart = self.wavelength / 4.0;
+        let (mut best, apart) = (None, self.wavelength / 4.0);
         let is_apart = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
         let mut positions: Vec<[f64; 3]> = self.options.node.filter(is_apart).into_iter().collect();
         if self.options.settings.images {
