@@ -41,8 +41,13 @@ impl AxisScale {
             (scale.coordinate(low), scale.coordinate(high))
         } else {
             let (low, high) = bounds(values.map(|v| scale.coordinate(v)).filter(|v| v.is_finite()));
-            // Equal values need a margin too.
-            let margin = (0.05 * (high - low)).max(if axis.log { 0.02 } else { 1e-9 });
+            let least = match (axis.log, low < high) {
+                (true, _) => 0.02,
+                (false, true) => 1e-9,
+                // Equal values: wide enough for different numbers on the axis.
+                (false, false) => 0.01 * high.abs().max(1e-3),
+            };
+            let margin = (0.05 * (high - low)).max(least);
             (low - margin, high + margin)
         };
         (scale.ends.0 < scale.ends.1).then_some(scale)
@@ -307,6 +312,13 @@ mod tests {
         assert_eq!(labels((-20.0, 30.0), false, 99), ["−20", "−10", "0", "10", "20", "30"]);
         assert!(labels((1.1, 1.3), true, 99).len() >= 3);
         assert_eq!(labels((1_233.6, 1_235.0), false, 99), ["1,234", "1,234.5", "1,235"]);
+    }
+
+    #[test]
+    fn axis_of_equal_values_has_different_labels() {
+        let scale = AxisScale::new(&ChartAxis::default(), [0.7, 0.7].into_iter()).unwrap();
+        assert_eq!(scale.keyed_ticks(100.0, &|_| true).1, ["0.695", "0.7", "0.705"]);
+        assert!(AxisScale::new(&ChartAxis::default(), [f64::NAN].into_iter()).is_none());
     }
 
     #[test]

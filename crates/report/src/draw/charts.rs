@@ -257,7 +257,7 @@ pub(crate) struct Legend {
 }
 
 impl Legend {
-    /// Arranges symbols in as few rows as fit into this width.
+    /// Arranges symbols in as few rows as fit into `width`, or else in one column.
     pub(crate) fn new(symbols: Vec<Symbol>, width: f64) -> Self {
         let symbol_width = |s: &Symbol| s.drawing.width + INDENT + text_width(&s.meaning) * SIZE / TEXT;
         let columns = |rows: usize| -> Vec<f64> {

@@ -52,7 +52,7 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Writes `NAME.svg`, `NAME.pdf` and `NAME.png` into `folder`.
+    /// Writes `NAME.svg`, `NAME.pdf` and `NAME.png` into `folder`, which is created if missing.
     ///
     /// # Errors
     /// [`Error::Write`] if a file cannot be written.

@@ -31,7 +31,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
 }
 
 /// Returns one line per variant up to step `end`, with the range over seeds. With several methods, the legend names the
-/// methods, and names at the ends of lines distinguish the variants of each.
+/// methods, and up to [`MOST_NAMES`] names at the ends of lines distinguish the variants of each; none if there are more.
 pub(super) fn variant_lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
     let families = VariantFamily::group(setting);
     let by_method = families.len() > 1;

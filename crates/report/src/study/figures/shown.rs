@@ -14,8 +14,8 @@ pub(super) struct ShownVariants {
     pub(super) all: Setting,
     /// Variants of at most [`CURVES`] methods, the best by the first metric.
     pub(super) methods: Setting,
-    /// At most [`CURVES`] variants of `methods`: one per method, or of a single method evenly. Their labels lack the parts
-    /// in `common`.
+    /// At most [`CURVES`] variants of `methods`: all if there are no more, otherwise one per method, or of a single method evenly.
+    /// Their labels lack the parts in `common`.
     pub(super) curves: Setting,
     /// At most [`CURVES`] variants of two or three `methods`, as many of each, from the first to the last of the plan; `None` for
     /// other numbers of methods, and if `curves` has all variants.
@@ -139,8 +139,8 @@ pub(super) fn is_oracle(setting: &Setting, name: &str) -> bool {
     setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name))
 }
 
-/// Lists the baselines with a curve and their indices, in the order of the plan: predictions of other programs, and the
-/// [`GREY_CURVES`] best others by the first metric. Oracle baselines rank last.
+/// Lists the baselines with a curve, each as its index in [`Setting::baselines`] and its name, by index: predictions of other
+/// programs, and the [`GREY_CURVES`] best others by the first metric. Oracle baselines rank last.
 pub(super) fn grey_baselines(setting: &Setting) -> Vec<(usize, &str)> {
     let headline = setting.headline();
     let indexed = setting.baselines().into_iter().enumerate();
