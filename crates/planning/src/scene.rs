@@ -124,8 +124,8 @@ impl SceneCoverage {
         transmitters.map(power).collect()
     }
 
-    /// Returns the powers in dBm `[T]` of a receiver at `position`; [`SILENT_DBM`] if it cannot be prepared, as with an antenna in
-    /// an object.
+    /// Returns the powers in dBm `[T]` of a receiver at `position`; [`SILENT_DBM`] if it cannot be prepared, as with an antenna
+    /// in an object.
     fn powers_at(&self, position: [f64; 3]) -> Vec<f64> {
         let receiver = self.simulator.receiver_at(position);
         let count = self.transmitters.len();

@@ -100,8 +100,8 @@ impl RayGroup<'_> {
         (0..self.links.pass_count()).map(one).collect()
     }
 
-    /// Runs the backward pass of a chunk of rays, given the cotangents `d` per pass, ray of the group and band; adds to `into`.
-    /// Without stored `activations` it repeats the forward pass.
+    /// Runs the backward pass of a chunk of rays, given the cotangents `d` per pass, ray of the group and band; adds to
+    /// `into`. Without stored `activations` it repeats the forward pass.
     pub(crate) fn backward(
         &self,
         rays: &Range<usize>,

@@ -112,7 +112,7 @@ impl Nerf2 {
         (0..setup.receivers.len()).filter_map(group).collect()
     }
 
-    /// Lists all chunks as (group, rays, whether to keep the activations); those that still fit within [`KEPT`] are kept.
+    /// Lists all chunks as (group, rays, whether to keep the activations): those that still fit within [`KEPT`].
     fn plan_chunks(&self, network: &Nerf2Network, groups: &[RayGroup<'_>]) -> Vec<(usize, Range<usize>, bool)> {
         let mut free = KEPT;
         let mut chunks = Vec::new();

@@ -97,8 +97,8 @@ impl Nerf2Network {
         terms
     }
 
-    /// Returns the memory of the stored activations of the layers, bytes, for `rays` rays with `passes` transmitters each. Encodings
-    /// and path factors, which are smaller, are not counted.
+    /// Returns the memory of the stored activations, bytes, for `rays` rays with `passes` transmitters each. Encodings and
+    /// path factors, which are smaller, are not counted.
     pub(crate) fn activation_bytes(&self, samples: usize, rays: usize, passes: usize) -> usize {
         let per_sample = (self.trunk.depth() + 2) * self.width() + passes * (3 * self.width() / 2 + self.outputs);
         rays * samples * per_sample * size_of::<Real>()

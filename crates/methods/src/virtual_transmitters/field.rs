@@ -88,8 +88,8 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs
 /// d `[M,A,F]`.
 ///
 /// # Panics
-/// If `d` has another length than the field, if there are fewer gates than Gaussians, or if the cloud has harmonics above the
-/// third order.
+/// If `d` has another length than the field, if there are fewer gates than Gaussians, or if the cloud has harmonics above
+/// the third order.
 pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>, d: &[[Real; 2]]) -> FieldVjp {
     assert_eq!(d.len(), links.value_count(), "one cotangent per link");
     let groups = antenna_groups(cloud, None, links);
