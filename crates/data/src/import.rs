@@ -114,7 +114,7 @@ struct Sink<'a> {
 impl<'a> Sink<'a> {
     /// Creates the writer of the new file `path`, which [`Self::begin`] creates.
     fn new(&Import { scale, elevation, .. }: &Import, path: PathBuf, progress: Progress<'a>) -> Self {
-        let numbers = (Number::U8, Number::U8);
+        let numbers = (Number::U8, Number::U8); // until `begin`
         let (range, bytes) = (Range::default(), Vec::new());
         Self { scale, elevation, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
     }

@@ -266,6 +266,7 @@ impl<'a> NumberReader<'a> {
             match part {
                 "f4" => f64::from(f32::from_bits(word as u32)),
                 "f8" => f64::from_bits(word),
+                // The shifts extend the sign.
                 _ if part.starts_with('i') => ((word << unused).cast_signed() >> unused) as f64,
                 _ => word as f64,
             }

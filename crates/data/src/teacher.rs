@@ -117,6 +117,7 @@ impl Teacher {
         let mut spectra = Vec::with_capacity(txs.len() * self.width * self.height);
         for batch in txs.chunks(BATCH) {
             let signals: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(self.origin().local(*tx))).collect();
+            // Row i: both channels of Gaussian i, transmitter by transmitter.
             let rows = (0..self.gaussians).flat_map(|i| signals.iter().flat_map(move |signals| signals[i]));
             let render = rasterizer.forward(splats.with_signals(&rows.collect::<Vec<Real>>(), 2 * batch.len(), &plane));
             for pair in render.pixels.chunks_exact(2 * self.width * self.height) {

@@ -205,6 +205,7 @@ impl PowerTable<'_> {
         let Self { receivers, missing, advice, unknown, unnamed } = self;
         let valid: BTreeSet<&str> = receivers.iter().map(String::as_str).collect();
         let table = TableText::with_names(path, advice, &|cell| valid.contains(cell) || valid.contains(text_of(cell)))?;
+        // Each power as read here, and as the caller stores it.
         table.check_rows(GROWING * size_of::<TableRow>() + receivers.len() * size_of::<(Option<f64>, Real)>())?;
         let mut columns = BTreeMap::new();
         for (k, cell) in table.names.iter().enumerate() {

@@ -76,8 +76,7 @@ impl Frame {
     /// latitude, longitude and height. Returns an error for a table or a row without a position.
     pub(super) fn read_rows(&mut self, import: &TableImport, file: &TableFile) -> Result<Vec<[f64; 3]>> {
         let table = TableText::read(file)?;
-        let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
-        let search = ColumnSearch::new(&table, &choice)?;
+        let search = ColumnSearch::new(&table, &import.columns)?;
         let columns = match search.position_columns(import.is_lat_lon)? {
             Some(columns) => columns,
             None if table.header.is_none() && table.names.len() >= 2 => {
