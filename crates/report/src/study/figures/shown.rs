@@ -14,8 +14,8 @@ pub(super) struct ShownVariants {
     pub(super) all: Setting,
     /// Variants of at most [`CURVES`] methods, the best by the first metric.
     pub(super) methods: Setting,
-    /// At most [`CURVES`] variants of `methods`: all if there are no more, otherwise one per method, or of a single method evenly.
-    /// Their labels lack the parts in `common`.
+    /// At most [`CURVES`] variants of `methods`: all if there are no more, otherwise one per method, or of a single method
+    /// evenly. Their labels lack the parts in `common`.
     pub(super) curves: Setting,
     /// At most [`CURVES`] variants of two or three `methods`, as many of each, from the first to the last of the plan; `None` for
     /// other numbers of methods, and if `curves` has all variants.
