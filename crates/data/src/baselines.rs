@@ -1,7 +1,7 @@
 //! Baselines: predictors without Gaussians, to compare models with.
 //!
-//! This file holds the mean, the zero channel, `ByReceiver`, which fits one predictor per receiver, and what several baselines
-//! share.
+//! This file holds the mean, the zero channel, `ByReceiver`, which fits one predictor per receiver, and functions that several
+//! baselines share.
 
 mod kriging;
 #[cfg(test)]

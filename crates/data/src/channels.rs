@@ -279,7 +279,8 @@ struct ChannelMetadata {
     transmitter: Option<[f64; 3]>,
 }
 
-/// Content of `receiver.yml`; antenna positions are in the world frame, or in the frame of a moving receiver.
+/// Content of `receiver.yml`, as [`receiver_yaml`](crate::receiver_yaml) writes it; antenna positions are in the world frame, or
+/// in the frame of a moving receiver.
 #[derive(Deserialize)]
 struct ReceiverFile {
     name: Spanned<String>,

@@ -187,7 +187,8 @@ impl<'a> TableText<'a> {
         };
     }
 
-    /// Returns whether the first rows have decimal commas and no decimal points; false if commas separate fields.
+    /// Returns whether the first rows, below the lines `skipped` so far, have decimal commas and no decimal points; false if
+    /// commas separate fields.
     fn has_decimal_commas_in(&self, text: &str) -> bool {
         let lines = || numbered_lines(text).filter(|(n, line)| *n > self.skipped && !is_comment(line)).take(EXAMINED);
         let has = |mark: char| {

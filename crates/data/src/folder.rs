@@ -95,8 +95,8 @@ fn parse_file_id(path: &Path, extension: &str) -> Option<u32> {
 /// Unit of received powers of receivers that are not calibrated.
 pub(crate) const RELATIVE: &str = "dB (relative)";
 
-/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()), which must use the names of the
-/// fields as keys.
+/// `manifest.json` as written by `pwrfgs simulate`, `pwrfgs import` and [`save`](crate::save()), which must use the names of
+/// the fields as keys.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Manifest {
@@ -255,9 +255,9 @@ pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
     format!("base_station: {antennas:?}\n")
 }
 
-/// Returns the content of `receiver.yml`: the `name`, which must be a YAML scalar, the pose in the world frame (metres), the
-/// carrier and the subcarrier spacing (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]` (metres) in the world
-/// frame, or in the frame of a moving receiver.
+/// Returns the content of `receiver.yml` for [`Channels`](crate::Channels): the `name`, which must be a YAML scalar, the pose in
+/// the world frame (metres), the carrier and the subcarrier spacing (Hz), the subcarriers `[F]` (Hz), and antenna positions
+/// `[A,3]` (metres) in the world frame, or in the frame of a moving receiver.
 pub fn receiver_yaml(
     name: &str,
     Pose { position, orientation }: &Pose,

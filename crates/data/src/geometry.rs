@@ -37,7 +37,7 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
         "ply" => ply::parse_mesh,
         _ => return Err(Error::input(path, "unsupported mesh format; export it as .obj or .ply")),
     };
-    parse(path, without_mark(&read_bytes(path, MAX_TEXT, MESH_ADVICE)?))
+    parse(path, strip_byte_order_mark(&read_bytes(path, MAX_TEXT, MESH_ADVICE)?))
 }
 
 /// Returns the extension of a file in lower case; empty without one.
@@ -46,7 +46,7 @@ fn lower_extension(path: &Path) -> String {
 }
 
 /// Returns the content of a file without a byte order mark.
-fn without_mark(bytes: &[u8]) -> &[u8] {
+fn strip_byte_order_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
@@ -143,7 +143,7 @@ const CLOUD_ADVICE: &str = "check the path of the point cloud";
 /// extension.
 pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let points = match lower_extension(path).as_str() {
-        "ply" => ply::parse_points(path, without_mark(&read_bytes(path, MAX_NUMBERS, CLOUD_ADVICE)?))?,
+        "ply" => ply::parse_points(path, strip_byte_order_mark(&read_bytes(path, MAX_NUMBERS, CLOUD_ADVICE)?))?,
         "xyz" | "txt" | "csv" => read_table_points(path)?,
         _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
     };

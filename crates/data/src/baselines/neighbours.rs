@@ -12,7 +12,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// Default of k; also that of `Auto` if there is nothing to compare.
 const DEFAULT: usize = 3;
-/// Candidate values of k for `Auto`.
+/// Candidate values of k for `Auto`, also in the docs of [`NearestNeighbours`].
 const CHOICES: [usize; 13] = [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160];
 /// Largest number of observations used to choose k.
 const CHOSEN_ON: usize = 120;

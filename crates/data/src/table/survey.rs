@@ -252,7 +252,8 @@ impl<'a> Survey<'a> {
         Ok(self.positions.index(position))
     }
 
-    /// Returns the index of a receiver, which is added if it is new; spellings that differ by case are one.
+    /// Returns the index of a receiver, which is added if it is new. Spellings that differ by case are one receiver; all but
+    /// the first are added to `respelled`.
     fn receiver_index(&mut self, name: &str) -> u32 {
         let (name, next) = (strip_control(name), self.receivers.len() as u32);
         let index = *self.receiver_indices.entry(name.to_lowercase()).or_insert(next);
