@@ -137,7 +137,7 @@ fn room_panels(run: &LoadedRun<'_>) -> Result<Value> {
     snapshots.extend(read(START_SNAPSHOT)?.map(|s| ("At the start".into(), s)));
     snapshots.extend(read(UNPRUNED_SNAPSHOT)?.map(|s| (format!("Before pruning, step {}", step(&s)), s)));
     snapshots.push((if snapshots.is_empty() { "Gaussians".into() } else { "Final".into() }, last));
-    let clouds: Vec<&Snapshot> = snapshots.iter().map(|m| &m.1).collect();
+    let clouds: Vec<&Snapshot> = snapshots.iter().map(|(_, snapshot)| snapshot).collect();
     let room = RoomFigure::new(run.data, run.partition, &clouds, TEXT);
     let panel = |(title, snapshot): &(String, Snapshot)| {
         let Panel { title, numbers, drawing, caption } = room.draw_panel(title, snapshot, run.data);

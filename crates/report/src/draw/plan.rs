@@ -260,7 +260,7 @@ pub struct TrainingMap {
 }
 
 impl Heatmap<'_> {
-    /// Draws the map.
+    /// Draws the map with axes, receivers and colour bar, and explains training positions if there are any.
     pub fn draw(&self) -> Canvas {
         let rows = self.values.len() / self.columns.max(1);
         let half = self.step / 2.0;

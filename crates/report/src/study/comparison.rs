@@ -348,9 +348,11 @@ const HEADER: &str = "setting simulated variant kind metric unit statistic value
 /// Columns: setting, simulated, variant, kind (`variant`, `external`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
 /// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
-/// seeds, empty for one), n (seeds), reference, low and high (ends of the interval of a difference).
+/// seeds; empty for one seed, and for baselines that are equal for all), n (seeds), reference, low and high (ends of the
+/// interval of a difference).
 pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
     let mut names = HEADER.split(' ');
+    // One name per word of the header.
     let mut lines = Lines::<13>::new(std::array::from_fn(|_| names.next().unwrap_or_default()));
     for (comparison, reference) in comparisons {
         let setting = comparison.setting;

@@ -129,6 +129,7 @@ fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
         let (mut printed, mut tables) = (Vec::new(), Vec::new());
         for table in &section.tables {
             let t = table_context(table, &mut printed);
+            // Chosen columns replace the table in LaTeX only.
             let chosen = section.chosen.as_ref().filter(|chosen| chosen.name == table.name);
             let latex = chosen.map_or_else(|| t.clone(), |chosen| table_context(chosen, &mut Vec::new()));
             let context = context! { t => latex, setting => section.title.clone(), name => section.name.clone() };

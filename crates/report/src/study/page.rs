@@ -162,6 +162,7 @@ impl Section {
 fn lead_sentences(comparison: &Comparison<'_>, reference: Option<&str>, compared: &ComparisonRow<'_>) -> Vec<String> {
     let setting = comparison.setting;
     let runs: Vec<&Record> = setting.runs().collect();
+    // Smallest and largest numbers of training, validation and test samples.
     let samples = [0, 1, 2].map(|k| {
         let counts = runs.iter().map(|r| r.facts.samples[k]);
         vec![counts.clone().min(), counts.max()]

@@ -114,7 +114,7 @@ fn disc_radius(db: f64) -> f64 {
 
 /// Draws the legend of the marks. The dashed frame is the bounds of the scene if the scene `has_points`, otherwise of the data.
 fn draw_legend(has_points: bool) -> Canvas {
-    let mut canvas = Canvas::new(620.0, 24.0);
+    let mut canvas = Canvas::new(0.0, 24.0);
     let (mut x, y) = (12.0, 12.0);
     let add_label = |canvas: &mut Canvas, x: &mut f64, words: &str| {
         canvas.text([*x + 13.0, y + 4.0], Anchor::Start, words);

@@ -62,6 +62,7 @@ struct Bin {
 /// Returns the bins of errors by distance over all `runs` of one predictor; none if it lacks the first metric.
 fn error_bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     let Headline { key, higher, best, .. } = task.headline;
+    // As the axis of `distance_figure` says.
     let drawn = |score: f64| best.filter(|_| higher).map_or(score, |best| best - score);
     let pairs = |run: &Record| -> Vec<(f64, f64)> {
         let samples = run.scores.values_by_id(predictor, key).unwrap_or_default();

@@ -5,6 +5,7 @@ use super::tradeoff::method_style;
 use crate::draw::charts::{Band, Chart, ChartAxis, ChartLine, decimate_steps, phase_bands};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
+use pwrfgs_core::statistics::{bounds, mean};
 use pwrfgs_experiment::{Record, Setting, StudyVariant, VariantFamily};
 use std::collections::BTreeMap;
 
@@ -100,9 +101,10 @@ fn seed_range(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
         at.entry(step as u64).or_default().push(n);
     }
     at.retain(|step, counts| *step as f64 <= end && counts.len() == variant.runs.len());
-    let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, counts)| (*step as f64, f(counts))).collect();
-    let extreme = |f: fn(f64, f64) -> f64| fold(&|counts| counts.iter().copied().reduce(f).unwrap_or(f64::NAN));
-    [extreme(f64::min), fold(&|counts| counts.iter().sum::<f64>() / counts.len() as f64), extreme(f64::max)]
+    let line = |value: fn(&[f64]) -> f64| at.iter().map(|(step, counts)| (*step as f64, value(counts))).collect();
+    let least = line(|counts| bounds(counts.iter().copied()).0);
+    let most = line(|counts| bounds(counts.iter().copied()).1);
+    [least, line(|counts| mean(counts.iter().copied())), most]
 }
 
 /// Returns the first point of the curve at or after each of [`MARKS`] equally spaced steps up to `end`, if there is one. `shift`,

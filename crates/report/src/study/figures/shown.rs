@@ -109,7 +109,7 @@ fn keep(setting: &Setting, variants: &[&StudyVariant]) -> Setting {
     Setting { title: setting.title.clone(), simulated: setting.simulated, variants }
 }
 
-/// Returns the variants with the label or of the method of a `chosen` name; all if no name fits this setting.
+/// Returns the variants whose label, or whose method, is one of the `chosen` names; all if no name fits this setting.
 fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a StudyVariant> {
     let families = VariantFamily::group(setting);
     let is_chosen = |family: &VariantFamily<'_>, variant: &StudyVariant| {

@@ -129,7 +129,7 @@ fn mark_best(cells: &mut [FormattedValue], spreads: &[Option<Spread>], competes:
 fn filled_columns(comparison: &Comparison<'_>, specs: &[ScoreColumn<'_>]) -> (Vec<TableColumn>, Vec<TableLine>) {
     let rows = &comparison.rows;
     let columns: Vec<(TableColumn, Vec<FormattedValue>)> =
-        specs.iter().filter_map(|w| table_column(rows, *w, comparison.is_ranked(w.0))).collect();
+        specs.iter().filter_map(|spec| table_column(rows, *spec, comparison.is_ranked(spec.0))).collect();
     let line = |(i, row): (usize, &ComparisonRow<'_>)| {
         let cells: Vec<FormattedValue> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
         cells.iter().any(|c| !c.value.is_empty()).then(|| TableLine::new(row, cells))
@@ -188,6 +188,7 @@ pub(in super::super) fn latency_table(comparison: &Comparison<'_>) -> Option<Tab
     let specs: Vec<ScoreColumn<'_>> =
         STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
     let mut table = build_table("latency", "Latency of one prediction by stage", comparison, &specs)?;
+    // Here, the column that other tables call latency is the total of the stages beside it.
     for column in &mut table.columns {
         if column.title == "latency" {
             "total".clone_into(&mut column.title);
@@ -232,7 +233,7 @@ fn build_table(
         twins => !comparison.twin_groups().is_empty(),
         ceiling => table.has_row_of(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,
-        machines_differ => !comparison.has_one_machine() && specs.iter().any(|w| is_time(w.0)),
+        machines_differ => !comparison.has_one_machine() && specs.iter().any(|(metric, _)| is_time(metric)),
     };
     table.legend = render_sentences("legend.txt", words);
     Some(table)
@@ -246,8 +247,9 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
     }
-    let lines = difference_lines(comparison, reference, &metrics);
-    let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
+    let (lines, seeds): (Vec<TableLine>, Vec<usize>) =
+        difference_lines(comparison, reference, &metrics).into_iter().unzip();
+    let (least, most) = (seeds.iter().copied().min()?, seeds.iter().copied().max()?);
     let column = |m: &&MetricRow| {
         let (title, unit) = name_and_unit(m);
         let detail = if unit.is_empty() { String::new() } else { format!("[{unit}]") };
@@ -257,15 +259,15 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
         name: "differences",
         title: table_title(&format!("Paired differences from {}", reference.label), comparison.setting),
         columns: metrics.iter().map(column).collect(),
-        lines: lines.into_iter().map(|l| l.0).collect(),
+        lines,
         legend: Vec::new(),
     };
     let words = context! {
         name => table.name,
         reference => reference.label,
         observations => comparison.setting.task().counted[1],
-        least => seeds.0,
-        most => seeds.1,
+        least,
+        most,
         percent => (CONFIDENCE * 100.0).round() as u32,
         replicates => REPLICATES,
         edge => comparison.blocks.edge_m.map(|edge| format!("{edge:.2}")),
