@@ -84,7 +84,7 @@ impl Marker {
         // The fourth corner of an arm is the first of the next.
         let arm = [(0.34, 0.34), (1.0, 0.34), (1.0, -0.34)];
         let turned = |arm: [(f64, f64); 3]| arm.map(|(x, y)| (y, -x));
-        let plus = [arm, turned(arm), turned(turned(arm)), turned(turned(turned(arm)))].concat();
+        let plus: Vec<(f64, f64)> = [arm, turned(arm), turned(turned(arm)), turned(turned(turned(arm)))].concat();
         match self {
             Self::Circle => ring(24, 0.0, &[0.95]),
             Self::Square => ring(4, 45.0, &[1.2]),
