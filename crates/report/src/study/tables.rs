@@ -70,7 +70,7 @@ pub(super) enum RankMark {
     Clear,
 }
 
-/// Returns the title of a table: `words`, and after them the mark of simulated data.
+/// Returns the title of a table: `words`, with a mark if the data are simulated.
 fn table_title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",

@@ -6,7 +6,7 @@ use crate::draw::axes::ticks;
 use crate::draw::charts::{Legend, SYMBOL, Symbol};
 use crate::draw::marks::SHADES;
 use minijinja::context;
-use pwrfgs_experiment::{Setting, StudyVariant, distinct, statistics::Spread, text::number};
+use pwrfgs_experiment::{Record, Setting, StudyVariant, distinct, statistics::Spread, text::number};
 
 /// Stages with their keys in `scores.csv`.
 const STAGES: [(&str, &str); 4] = [
@@ -70,7 +70,11 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
 
 /// Describes the machines of the measurements, each once.
 fn machines(setting: &Setting) -> Vec<String> {
-    distinct(setting.runs().map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)))
+    let describe = |run: &Record| {
+        let machine = &run.facts.machine;
+        format!("{}, {} thread{}", machine.cpu, machine.threads, if machine.threads == 1 { "" } else { "s" })
+    };
+    distinct(setting.runs().map(describe))
 }
 
 /// Draws the bars with names, axis and legend; the axis ends at the `longest` bar, milliseconds.
