@@ -84,8 +84,9 @@ impl Agreement {
     }
 }
 
-/// Counts the transmitters farther from all training positions than the limit of extrapolations and than the length of the
-/// site, with these limits in metres; `None` if the model has no training positions, or they have no extent.
+/// Counts the transmitters that are farther from all training positions than a limit: that of extrapolations, then the length
+/// of the site. Returns each count with its limit in metres; `None` if the model has no training positions, or they have no
+/// extent.
 fn count_distant(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let distances = model.training_distances(&positions)?;
@@ -118,8 +119,8 @@ impl std::fmt::Display for Agreement {
     }
 }
 
-/// Returns whether a measurement lies outside its interval; `score` is the SSIM of the prediction, if the interval
-/// bounds that.
+/// Returns whether a measurement lies outside its interval: by `score`, the SSIM of the prediction, if the interval bounds it,
+/// otherwise by the value, which is a single one.
 fn is_outside(interval: &Interval, truth: &Image, score: f64) -> bool {
     match interval.ssim {
         Some(bound) => score < bound,

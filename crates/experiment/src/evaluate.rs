@@ -274,10 +274,10 @@ fn residuals_note(residuals: &Residuals, task: Task) -> String {
         let lengths = lengths.into_iter().map(number).collect::<Vec<_>>().join(", ");
         format!("{} with {lengths} m, noise {}", kind.words(), number(noise))
     };
-    let mut notes: Vec<String> = residuals.processes().iter().flatten().map(describe).collect();
-    notes.dedup();
+    let mut processes: Vec<String> = residuals.processes().iter().flatten().map(describe).collect();
+    processes.dedup(); // receivers may share a fit
     let share = residuals.describe_share(task).unwrap_or_default();
-    format!("{share}; residuals are Kriged ({})", notes.join("; "))
+    format!("{share}; residuals are Kriged ({})", processes.join("; "))
 }
 
 /// Checks that a model predicts observations such as those of the data: task, size, directions, receivers and frequencies.

@@ -99,7 +99,7 @@ struct OpenMeasurements {
 }
 
 /// Returns an error for predictions that are not finite, which would give invalid scores.
-fn refuse_infinite(name: &str, predictions: &[Image]) -> Result<()> {
+fn check_finite(name: &str, predictions: &[Image]) -> Result<()> {
     if predictions.iter().all(|image| image.pixels.iter().all(|p| p.is_finite())) {
         return Ok(());
     }
@@ -160,7 +160,7 @@ impl<'a> EvaluationSet<'a> {
                 let predictions = predictor.predict(&queries, &count);
                 let truths: Vec<Image> = samples.par_iter().map(|&i| self.data.image(i)).collect();
                 self.data.observations.check()?;
-                refuse_infinite(name, &predictions)?;
+                check_finite(name, &predictions)?;
                 let chunk = Evaluation { predictions: &predictions, truths: &truths, links, ..evaluation };
                 for (k, metric) in metrics.iter().enumerate() {
                     match metric.scope() {

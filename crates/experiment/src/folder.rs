@@ -47,7 +47,8 @@ pub const VALIDATION: &str = "validation.csv";
 /// TensorBoard file of loss, N, validation and scores, if the pipeline sets `tensorboard`.
 pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
 
-/// Returns the folder of model `index`, counted from 0, of a run with several models, relative to the run folder.
+/// Returns the folder of model `index`, counted from 0, of a run with several models, relative to the run folder. Its name counts
+/// from 1.
 pub fn member_folder(index: usize) -> String {
     format!("members/{}", index + 1)
 }
@@ -88,7 +89,8 @@ pub fn snapshots() -> impl Iterator<Item = (&'static str, &'static str)> {
     first.into_iter().chain(PRUNED_SNAPSHOTS.map(|name| (name, "Pruned")))
 }
 
-/// Returns the name of the snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved.
+/// Returns the name of the snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved, or if
+/// `round` is 0, which is no prune step.
 pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static str> {
     let most = rounds.min(PRUNED_SNAPSHOTS.len() as u64);
     let saved_until = |round: u64| (round * most).checked_div(rounds).unwrap_or(0);

@@ -29,7 +29,8 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// Opens the files of a run in `folder`, truncated to step `done`; writes the events again.
+    /// Opens the files of a run in `folder`, truncated to step `done`, and writes the events of these steps again. `task`
+    /// determines the columns of validations.
     ///
     /// # Errors
     /// A damaged file, or [`Error::Write`].
@@ -122,7 +123,7 @@ fn parse_seconds(row: &str) -> f64 {
     row.rsplit(',').next().and_then(|seconds| seconds.parse().ok()).unwrap_or(0.0)
 }
 
-/// Names the values of a row by `prefix` and column; step, phase, seconds and other words are omitted.
+/// Names the values of a row by `prefix` and column, without step, phase, seconds, and fields that are not numbers.
 fn named_values(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
     let named = header.split(',').zip(row.split(',')).filter(|(name, _)| !["step", "phase", "seconds"].contains(name));
     named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
@@ -147,7 +148,8 @@ impl Series {
     /// rows of a killed run.
     ///
     /// # Errors
-    /// The header, or a row before the last kept one, is damaged: its data would be lost silently.
+    /// The header, or a row before the last kept one, is damaged: its data would be lost silently. The file cannot be read or
+    /// written.
     fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Vec<String>)> {
         let old = files::if_found(path, files::read(path))?.unwrap_or_default();
         let old = String::from_utf8_lossy(&old);

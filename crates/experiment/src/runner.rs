@@ -81,7 +81,8 @@ pub fn score_model(
     run(pipeline, base, out, session)
 }
 
-/// Returns whether the file at `path` holds `model`, or with `fits_residuals` that model with residuals of an earlier call.
+/// Returns whether the file at `path` holds `model`, or, if the run `fits_residuals`, that model with residuals of an earlier
+/// call.
 fn holds_model(path: &Path, model: &Ensemble, fits_residuals: bool) -> Result<bool> {
     let Some(bytes) = files::if_found(path, files::read(path))? else { return Ok(false) };
     let unfitted_bytes = |ensemble: Ensemble| file::ensemble_to_bytes(&ensemble.with_residuals(None));
@@ -183,8 +184,8 @@ impl<'a> ActiveRun<'a, '_> {
     /// Fits residuals and intervals to the model, scores it, and writes all results. Returns the scores.
     pub(crate) fn score(&mut self, mut model: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
         let (pipeline, split, begun) = (self.pipeline, self.split, Instant::now());
-        // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
         let (is_ensemble, count) = (!facts.members.is_empty(), facts.members.len().max(1));
+        // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
         let is_trained_here = is_ensemble || folder.file(CURVE).is_file();
         // Written one after the other: a stopped start keeps what it has fitted.
         let write = |model: &Ensemble| file::write_ensemble(&folder.file(MODEL_FILE), model);

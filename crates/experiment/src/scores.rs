@@ -131,7 +131,7 @@ impl IntervalScores {
         })
     }
 
-    /// Describes the intervals of [`LEVEL`], and compares their width with that of the intervals of the `model`.
+    /// Describes the intervals of [`LEVEL`]. For a baseline, also gives their width at the coverage of those of the `model`.
     pub(crate) fn note(&self, task: Task, model: &Self) -> String {
         let Self { predictor, blocks: [calibration, test], levels } = self;
         let Some(LevelScores { coverage, width, ssim, .. }) = levels.iter().find(|scores| scores.level == LEVEL) else {

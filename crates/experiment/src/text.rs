@@ -73,18 +73,18 @@ pub fn align_columns(lines: &[Vec<String>], left: usize) -> String {
 /// Wraps words into lines of at most `width` characters, unless one word is longer; `starts` are the prefixes of the first and
 /// of further lines.
 pub fn wrap_words(words: &str, starts: [&str; 2], width: usize) -> String {
-    let (mut out, mut used) = (String::new(), String::new());
+    let (mut out, mut line) = (String::new(), String::new());
     for word in words.split_whitespace() {
-        if used.is_empty() {
-            used = starts[0].to_owned() + word;
-        } else if used.chars().count() + 1 + word.chars().count() > width {
-            out = out + &used + "\n";
-            used = starts[1].to_owned() + word;
+        if line.is_empty() {
+            line = starts[0].to_owned() + word;
+        } else if line.chars().count() + 1 + word.chars().count() > width {
+            out = out + &line + "\n";
+            line = starts[1].to_owned() + word;
         } else {
-            used = used + " " + word;
+            line = line + " " + word;
         }
     }
-    out + &used + "\n"
+    out + &line + "\n"
 }
 
 /// CSV file with K columns.

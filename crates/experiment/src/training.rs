@@ -45,7 +45,8 @@ impl<'a> ActiveRun<'a, '_> {
     /// Creates the trainer, from the checkpoint in the folder `claimed` if there is one, otherwise before the first step.
     ///
     /// # Errors
-    /// Invalid settings, a damaged checkpoint, too little memory; [`Error::Stopped`] once the session is stopped.
+    /// Invalid settings, a checkpoint that is damaged or of another device, too little memory; [`Error::Stopped`] once the
+    /// session is stopped.
     pub(crate) fn start_trainer(&mut self, claimed: Option<&RunFolder>) -> Result<Trainer<'a>> {
         let (pipeline, SplitData { data, partition }) = (self.pipeline, self.split);
         // Invalid strategies are reported before an error of the checkpoint.
@@ -86,6 +87,7 @@ impl<'a> ActiveRun<'a, '_> {
             journal: Journal::open(folder, self.pipeline, data.task(), trainer.done())?,
             validation: evenly(&partition.validation, settings.validation_samples),
             most_gaussians: 0,
+            // Read after the journal has dropped the rows of later steps.
             best: best_value(&read_series(&folder.file(VALIDATION)), settings.prune_until, data.task()),
             earlier_seconds: facts.wall_seconds,
             at_once: 1,

@@ -61,7 +61,7 @@ fn check_values(channels: &Channels) -> Option<Finding> {
         (false, _) => ("amplitudes, which have no phase", POWERS),
     };
     let problem = format!("all imaginary parts are 0: these are {kind}");
-    Some(Finding::new("channel-phase", channels.gains.len(), problem, mend))
+    Some(Finding::new("channel-phase", channels.gains.len() / channels.of(0).len(), problem, mend))
 }
 
 /// Finds antennas of the first receiver that are far from all others, for a `wavelength` in metres; `None` without any.
@@ -329,6 +329,7 @@ mod tests {
         let decibels = of(|_, gain| DVec2::new(20.0 * (gain.length() / 10.0).log10(), 0.0));
         assert!(decibels.contains("these are levels in dB, which have no phase; use powers"), "{decibels}");
         let real = of(|_, gain| DVec2::new(gain.x, 0.0));
+        assert_eq!(check_channels(&data(0.0, |_, gain| DVec2::new(gain.x, 0.0)))[0].count, 60, "channels, not gains");
         assert!(real.contains("these are real parts alone; save real + 1j * imaginary parts"), "{real}");
         let zeros = of(|id, gain| if id % 4 == 0 { DVec2::ZERO } else { gain });
         assert_eq!(zeros, "zero-channels: 15 of 60 channels are zero, as if not received; leave them out");

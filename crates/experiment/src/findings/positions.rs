@@ -134,13 +134,13 @@ pub(super) fn round(position: [f64; 3]) -> [f64; 3] {
     position.map(|v| (v * 1e7).round() / 1e7)
 }
 
-/// Returns the median distance to the nearest other position, metres.
+/// Returns the median distance to the nearest other position, in the unit of the positions.
 fn median_spacing(positions: &[[f64; 3]]) -> f64 {
     median(nearest_others(positions).into_iter().flatten().map(|other| other.0))
 }
 
-/// Returns what contradicts a large site in metres: heights, links stronger than free space allows, or its size if distances
-/// are unknown. `None` if nothing does, as for a campus.
+/// Describes what contradicts a large `site` of this length in metres: heights, links stronger than free space allows, or its
+/// size if distances are unknown. `None` if nothing does, as for a campus.
 fn large_site_fault(data: &Dataset, powers: &[Real], site: f64) -> Option<String> {
     if !data.scene.has_distances() {
         return (site > WIDE_M).then(|| "and the positions of the receivers are unknown".into());

@@ -72,7 +72,8 @@ pub(super) struct LevelLinks {
 }
 
 impl LevelLinks {
-    /// Collects the links of at most 500 evenly chosen locations; `None` for other observations, or without distances.
+    /// Collects the links of evenly chosen locations, at most the end of [`LOCATIONS`]; `None` for other observations, or without
+    /// distances.
     pub(super) fn of(data: &Dataset) -> Option<Self> {
         let powers = data.observations.powers().filter(|_| data.placed && data.scene.has_distances())?;
         let chosen = evenly(&(0..data.locations.len()).collect::<Vec<_>>(), *LOCATIONS.end());
@@ -143,7 +144,8 @@ impl LevelLinks {
         order
     }
 
-    /// Returns the mean standard deviation of free-space loss over the links at a fixed end, dB.
+    /// Returns the mean standard deviation of free-space loss over the links at a fixed end, dB. Distances count as at least
+    /// 1e-9 m, so that the loss is finite.
     fn spread_db(&self) -> f64 {
         let spread = |end: usize| {
             let links = self.links.iter().filter(|(_, other, _)| *other == end);
@@ -207,6 +209,7 @@ pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
     if !is_spread {
         return None;
     }
+    // In the order of receivers, as links are.
     let levels: Vec<Vec<(usize, f64)>> = rows
         .iter()
         .map(|row| data.links_of(&[*row]).into_iter().map(|i| (data.links[i].receiver, powers[i] as f64)).collect())

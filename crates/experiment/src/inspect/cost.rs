@@ -79,6 +79,7 @@ fn describe_phases(training: &Training) -> String {
         let last = to.min(training.steps);
         (from < last).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(last)))
     };
+    // Last step before a phase, its last step, and its name.
     let phases = [
         (0, training.densify_until, "densify"),
         (training.densify_until, training.prune_until, "prune"),

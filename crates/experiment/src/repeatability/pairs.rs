@@ -101,9 +101,9 @@ fn near_pairs(data: &Dataset, links: &[usize]) -> impl Iterator<Item = SamplePai
     links.iter().enumerate().flat_map(later_pairs)
 }
 
-/// Adds pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and
+/// Adds pairs more than `gap` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and
 /// random pairs beyond. The limits on samples and random pairs are divided by the number of `receivers`.
-fn add_far_pairs(far_pairs: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], receivers: usize, least: u32) {
+fn add_far_pairs(far_pairs: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], receivers: usize, gap: u32) {
     let position = |i: usize| data.sample(i).position();
     let sampled = evenly(links, ASKED.div_ceil(receivers));
     let nearest = Nearest::new(links, 3, position);
@@ -113,7 +113,7 @@ fn add_far_pairs(far_pairs: &mut Vec<SamplePair>, data: &Dataset, links: &[usize
     let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(distance, _)| *distance));
     let complete = neighbours.iter().any(|list| list.len() == links.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
-    let is_far = |pair: &SamplePair| pair.id_gap(data) > least;
+    let is_far = |pair: &SamplePair| pair.id_gap(data) > gap;
     far_pairs.reserve(neighbours.iter().map(Vec::len).sum());
     for (&i, list) in sampled.iter().zip(neighbours) {
         let pairs = list.into_iter().map(|(_, j)| SamplePair::of(data, i, j));

@@ -145,8 +145,8 @@ impl<'a> ParetoComparison<'a> {
     }
 }
 
-/// Removes the words that the names of all `families` begin or end with. Returns the common first words, each with a blank
-/// after it.
+/// Removes the words that the names of all `families` begin or end with; a name without other words is unchanged. Returns the
+/// common first words, each with a blank after it.
 fn shorten_names(families: &mut [VariantFamily<'_>]) -> String {
     let split_name = |family: &VariantFamily<'_>| family.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
     let names: Vec<Vec<String>> = families.iter().map(split_name).collect();

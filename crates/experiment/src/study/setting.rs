@@ -107,8 +107,8 @@ pub(super) fn joined_names(names: Vec<String>) -> String {
     if more > 1 { format!("{} and {more} more", unique[..TITLES].join(", ")) } else { unique.join(", ") }
 }
 
-/// Names the variants of separately given runs: the common start of the folder names of all seeds. If there is none, the
-/// name of the pipeline; if another variant has that name, the path of the first folder.
+/// Returns separately given runs with the name of their variant: the common start of the folder names of all seeds. If there
+/// is none, the name of the pipeline; if another variant has that name, the path of the first folder.
 pub(super) fn name_single_runs(runs: Vec<Record>) -> Result<Vec<(String, Record)>> {
     let keys: Vec<String> = runs.iter().map(Record::variant_key).collect::<Result<_>>()?;
     let folder = |record: &Record| {

@@ -59,7 +59,10 @@ pub fn estimate_run_seconds(plan: &SweepPlan, runs: &[usize], observer: &mut dyn
 /// runs of the plan.
 fn mean_finished_seconds(plan: &SweepPlan, states: &[RunStage], combination: usize) -> Option<f64> {
     let wall_seconds = |(run, state): (&PlannedRun, &RunStage)| match state {
-        RunStage::Finished(end) if run.combination == combination => Some(end.1.wall_seconds),
+        RunStage::Finished(end) if run.combination == combination => {
+            let (_, facts) = &**end;
+            Some(facts.wall_seconds)
+        }
         _ => None,
     };
     let seconds: Vec<f64> = plan.runs.iter().zip(states).filter_map(wall_seconds).collect();
@@ -230,7 +233,7 @@ impl SweepPlan {
         write_atomically(&path, format!("{reason}\n").as_bytes())
     }
 
-    /// Removes the stored failure of a run, if there is one.
+    /// Removes the stored failure of a run, if there is one. Errors are ignored.
     pub fn remove_failure(&self, run: usize) {
         _ = std::fs::remove_file(self.failure_path(run));
         _ = std::fs::remove_dir(self.folder.join(FAILURES)); // succeeds after the last one

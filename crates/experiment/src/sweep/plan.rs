@@ -115,7 +115,8 @@ impl SweepPlan {
         })
     }
 
-    /// Creates the error of a run that cannot start, at the responsible variant; that of a plugin remains its source.
+    /// Creates the error of a run that cannot start, at the responsible variant. An error of a plugin remains the source of the
+    /// new one.
     pub(super) fn start_error(&self, run: usize, error: Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
         let message = format!("{folder}: {error}");

@@ -32,7 +32,7 @@ pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(S
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
     write_atomically(&folder.join(RUNS), names.as_bytes())?;
     let path = folder.join(SCRIPT);
-    write_atomically(&path, script_text(plan, runs.len(), command, &folder)?.as_bytes())?;
+    write_atomically(&path, format_script(plan, runs.len(), command, &folder)?.as_bytes())?;
     let output = Command::new("sbatch").arg("--parsable").arg(&path).output().map_err(|e| {
         Error::Config(format!("cannot call sbatch ({e}); use a machine with Slurm, or omit --launcher"))
     })?;
@@ -133,7 +133,7 @@ fn sbatch_options(plan: &SweepPlan, tasks: usize, folder: &Path) -> Vec<String> 
 ///
 /// # Errors
 /// An option with a quote, newline or backslash, which `#SBATCH` lines cannot hold.
-fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
+fn format_script(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
     let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
     for option in &sbatch_options(plan, tasks, folder) {
         if option.contains(['"', '\n', '\\']) {

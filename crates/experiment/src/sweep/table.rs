@@ -20,7 +20,10 @@ impl SweepPlan {
             Ok(RunOutcome::Finished { scores, .. }) => {
                 let score = |key| scores.model_score(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.state(run) {
-                    RunStage::Finished(end) => format!("  {}", format_duration(end.1.wall_seconds)),
+                    RunStage::Finished(end) => {
+                        let (_, facts) = &*end;
+                        format!("  {}", format_duration(facts.wall_seconds))
+                    }
                     _ => String::new(),
                 };
                 let words = [scores.task.headline.key, "eta_0db", "gaussians"]
@@ -41,7 +44,10 @@ impl SweepPlan {
     pub fn progress_table(&self, runs: &[usize], queued: &BTreeSet<String>) -> String {
         let states: Vec<RunStage> = runs.iter().map(|&run| self.state(run)).collect();
         let ends = states.iter().filter_map(|state| if let RunStage::Finished(end) = state { Some(end) } else { None });
-        let task = ends.clone().next().map_or_else(Task::default, |end| end.0.task);
+        let task = ends.clone().next().map_or_else(Task::default, |end| {
+            let (scores, _) = &**end;
+            scores.task
+        });
         let head = ["run", "state", "step", "N", task.headline.short, "eta_0db", "time"];
         let mut lines = vec![head.map(str::to_owned).to_vec()];
         let finished = ends.count();
