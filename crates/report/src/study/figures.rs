@@ -13,14 +13,14 @@ pub(super) mod shown;
 mod tests;
 mod tradeoff;
 
-use crate::canvas::Canvas;
+use crate::canvas::{Anchor, Canvas, LINE};
 use crate::draw::charts::{Chart, ChartStyle};
 use crate::templates::render_sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
 use pwrfgs_experiment::{NoopObserver, Setting};
 use serde::Serialize;
-use shown::ShownVariants;
+use shown::{Selection, ShownVariants};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -71,14 +71,12 @@ impl Figure {
         if !chart.bands.is_empty() {
             style.margins[1] = 40.0; // top: for the names of the phases
         }
-        Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
+        Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, canvas))
     }
 
-    /// Adds remarks to the caption: the parts `common` to all labels, and the number of `hidden` variants.
-    fn with_remarks(mut self, common: &str, hidden: usize) -> Self {
-        if !common.is_empty() {
-            _ = write!(self.caption, " All variants: {common}.");
-        }
+    /// Adds `remarks` and the number of `hidden` variants to the caption.
+    fn with_remarks(mut self, remarks: &str, hidden: usize) -> Self {
+        self.caption += remarks;
         if hidden > 0 {
             let advice = "`pwrfgs report --variants` selects them.";
             _ = write!(self.caption, " Variants that are not shown: {hidden}; {advice}");
@@ -87,8 +85,14 @@ impl Figure {
     }
 
     /// Creates a figure of `canvas` in all formats; title and caption are those of `name` in `figures.txt`, which gets `words`.
-    fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
+    ///
+    /// Marks a figure of simulated data on the drawing itself, which may be used without its caption.
+    fn new(name: &str, setting: &Setting, words: Value, mut canvas: Canvas) -> Self {
         let (least, most) = setting.seed_counts();
+        if setting.simulated {
+            canvas.text([canvas.width - 2.0, canvas.height + 0.7 * LINE], Anchor::End, "simulated data");
+            canvas.height += LINE;
+        }
         let words = render_sentences("figures.txt", context! { name, least, most, ..words });
         let kind = if setting.simulated { "Simulated" } else { "Measured" };
         let caption = format!("{} {kind} data: {}.", words[1], setting.title);
@@ -114,8 +118,8 @@ type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 /// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
 /// at most six curves; `chosen` names their variants or methods, the best if empty. `progress` counts figures.
 pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>) -> FigureSet {
-    let ShownVariants { all, methods, curves, spread, common } = &ShownVariants::of(setting, chosen);
-    let from_scores: [(&Setting, FromScores); 9] = [
+    let ShownVariants { all, methods, curves, panels, spread } = &ShownVariants::of(setting, chosen);
+    let from_scores: [(&Selection, FromScores); 9] = [
         (spread.as_ref().unwrap_or(curves), gaussians::figure),
         (methods, tradeoff::first_metric_figure),
         (methods, tradeoff::rate_ratio_figure),
@@ -126,22 +130,21 @@ pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>
         (curves, errors::distribution_figure),
         (curves, errors::distance_figure),
     ];
-    let from_data: [(&Setting, FromData); 3] =
-        [(curves, panels::room_figure), (curves, panels::spectra_figure), (curves, rate::figure)];
+    let from_data: [(&Selection, FromData); 3] =
+        [(panels, panels::room_figure), (panels, panels::spectra_figure), (curves, rate::figure)];
     let count = from_scores.len() + from_data.len();
-    let with_remarks = |shown: &Setting, figure: Figure| {
-        let common = if std::ptr::eq(shown, curves) { common.as_str() } else { "" };
-        figure.with_remarks(common, setting.variants.len() - shown.variants.len())
+    let with_remarks = |shown: &Selection, figure: Figure| {
+        figure.with_remarks(&shown.remarks, setting.variants.len() - shown.setting.variants.len())
     };
     let mut figures = Vec::new();
     for (done, (shown, make)) in from_scores.iter().enumerate() {
-        figures.extend(make(shown).map(|figure| with_remarks(shown, figure)));
+        figures.extend(make(&shown.setting).map(|figure| with_remarks(shown, figure)));
         progress(done + 1, count);
     }
     let drawn = setting.variants[0].runs[0].load_data(&mut NoopObserver).and_then(|data| {
         let mut drawn = Vec::new();
         for (done, (shown, make)) in from_data.iter().enumerate() {
-            drawn.extend(make(shown, &data)?.map(|figure| with_remarks(shown, figure)));
+            drawn.extend(make(&shown.setting, &data)?.map(|figure| with_remarks(shown, figure)));
             progress(from_scores.len() + done + 1, count);
         }
         Ok(drawn)

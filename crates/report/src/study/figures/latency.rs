@@ -65,7 +65,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
         return None;
     }
     let words = context! { machines => machines(setting) };
-    Some(Figure::new("latency", setting, words, &draw_bars(&bars, longest)))
+    Some(Figure::new("latency", setting, words, draw_bars(&bars, longest)))
 }
 
 /// Describes the machines of the measurements, each once.

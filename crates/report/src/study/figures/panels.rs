@@ -1,6 +1,6 @@
 //! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
-use super::shown::{CURVES, is_oracle, one_variant_per_method};
+use super::shown::is_oracle;
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrap_text};
 use crate::draw::charts::Legend;
@@ -12,11 +12,10 @@ use pwrfgs_experiment::{Setting, StudyVariant, scores::MODEL};
 use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 
-/// Draws the Gaussians of one variant per method over the point cloud of the scene, with their Chamfer distances: figure 3 of the
-/// paper. `None` without Gaussians.
+/// Draws the Gaussians of each variant over the point cloud of the scene, with their Chamfer distances: figure 3 of the paper. `None`
+/// without Gaussians.
 pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
-    let methods = || one_variant_per_method(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
-    let shown: Vec<&StudyVariant> = methods().take(CURVES).collect();
+    let shown: Vec<&StudyVariant> = setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0).collect();
     if shown.is_empty() {
         return Ok(None);
     }
@@ -44,8 +43,7 @@ pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Fi
     let legend = Legend::new(room.legend(), canvas.width);
     legend.draw(&mut canvas, top);
     canvas.height = top + legend.height();
-    let words = context! { more => methods().count() - shown.len(), note => room.note(data) };
-    Ok(Some(Figure::new("room", setting, words, &canvas)))
+    Ok(Some(Figure::new("room", setting, context! { note => room.note(data) }, canvas)))
 }
 
 /// Draws panels of this `width` side by side from `top`, each with its name above and numbers below; returns the bottom of the
@@ -108,9 +106,8 @@ pub(super) fn spectra_figure(setting: &Setting, data: &Dataset) -> Result<Option
     if data.observations.spectra().is_none() {
         return Ok(None);
     }
-    let methods = one_variant_per_method(setting);
-    let shown = &methods[..methods.len().min(MOST_METHODS)];
-    let columns = spectra_columns(setting, shown, data)?;
+    let shown: Vec<&StudyVariant> = setting.variants.iter().take(MOST_METHODS).collect();
+    let columns = spectra_columns(setting, &shown, data)?;
     let row = |(name, id): (&'static str, u32)| {
         let index = (0..data.len()).find(|&i| data.label(i) == id)?;
         let predict = |column: &PredictionColumn<'_>| {
@@ -127,8 +124,8 @@ pub(super) fn spectra_figure(setting: &Setting, data: &Dataset) -> Result<Option
     }
     let labels: Vec<&str> = columns.iter().map(|column| column.label.as_str()).collect();
     let canvas = draw_spectra(&labels, &rows, &shown[0].runs[0].pipeline.plane(data)?);
-    let words = context! { first => shown[0].label.clone(), more => methods.len() - shown.len() };
-    Ok(Some(Figure::new("spectra", setting, words, &canvas)))
+    let words = context! { first => shown[0].label.clone(), more => setting.variants.len() - shown.len() };
+    Ok(Some(Figure::new("spectra", setting, words, canvas)))
 }
 
 /// Returns the columns of the figure of spectra: the best baselines, then `methods`, each with the SSIM of its first run.

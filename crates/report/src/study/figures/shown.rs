@@ -8,20 +8,43 @@ use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, distinct};
 pub(super) const CURVES: usize = 6;
 const GREY_CURVES: usize = 3;
 
-/// Variants in figures, each list as a setting.
+/// Variants in figures.
 pub(super) struct ShownVariants {
     /// All variants, or the chosen ones.
-    pub(super) all: Setting,
+    pub(super) all: Selection,
     /// Variants of at most [`CURVES`] methods, the best by the first metric.
-    pub(super) methods: Setting,
-    /// At most [`CURVES`] variants of `methods`: all if there are no more, otherwise one per method, or of a single method
-    /// evenly. Their labels lack the parts in `common`.
-    pub(super) curves: Setting,
+    pub(super) methods: Selection,
+    /// At most [`CURVES`] variants of `methods`: all if there are no more, otherwise one per method at similar numbers of Gaussians,
+    /// or of a single method evenly. Their labels lack common parts.
+    pub(super) curves: Selection,
+    /// As `curves`, but without chosen names the best of each method: similar numbers would compare the starts of figure 3 of the
+    /// paper after the hardest pruning.
+    pub(super) panels: Selection,
     /// At most [`CURVES`] variants of two or three `methods`, as many of each, from the first to the last of the plan; `None` for
     /// other numbers of methods, and if `curves` has all variants.
-    pub(super) spread: Option<Setting>,
-    /// Parts that the labels of all curves have, such as `N 24`; empty if there are none.
-    pub(super) common: String,
+    pub(super) spread: Option<Selection>,
+}
+
+/// Variants of one figure.
+pub(super) struct Selection {
+    pub(super) setting: Setting,
+    /// Sentences for the caption, each after a space: parts that the labels lack, and how the variants were selected.
+    pub(super) remarks: String,
+}
+
+impl From<Setting> for Selection {
+    fn from(setting: Setting) -> Self {
+        Self { setting, remarks: String::new() }
+    }
+}
+
+impl Selection {
+    /// Removes common parts from the labels, and remarks them.
+    fn with_short_labels(mut setting: Setting) -> Self {
+        let common = remove_common_parts(&mut setting.variants);
+        let remarks = if common.is_empty() { common } else { format!(" All variants: {common}.") };
+        Self { setting, remarks }
+    }
 }
 
 impl ShownVariants {
@@ -30,17 +53,25 @@ impl ShownVariants {
         let all = if chosen.is_empty() { setting.clone() } else { keep(setting, &chosen_variants(setting, chosen)) };
         let methods = keep(&all, &best_methods(&all));
         let variants: Vec<&StudyVariant> = methods.variants.iter().collect();
-        let mut curves = match one_variant_per_method(&methods) {
+        let curves = match one_variant_per_method(&methods) {
             _ if variants.len() <= CURVES => keep(&methods, &variants),
             one_each => keep(&methods, &evenly(&one_each, CURVES)),
         };
-        let common = remove_common_parts(&mut curves.variants);
         let families = VariantFamily::group(&methods);
+        let panels = if chosen.is_empty() && families.len() > 1 && variants.len() > families.len() {
+            let mut panels = Selection::with_short_labels(keep(&methods, &best_variants(&methods)));
+            panels.remarks +=
+                &format!(" Of each method, the variant with the best {} is shown.", methods.headline().short);
+            panels
+        } else {
+            Selection::with_short_labels(curves.clone())
+        };
         let each = CURVES / families.len();
         let extremes: Vec<&StudyVariant> =
             families.iter().flat_map(|family| evenly_with_ends(&family.variants, each)).collect();
-        let spread = (families.len() > 1 && each > 1 && variants.len() > CURVES).then(|| keep(&methods, &extremes));
-        Self { all, methods, curves, spread, common }
+        let spread =
+            (families.len() > 1 && each > 1 && variants.len() > CURVES).then(|| keep(&methods, &extremes).into());
+        Self { curves: Selection::with_short_labels(curves), panels, spread, all: all.into(), methods: methods.into() }
     }
 }
 
@@ -112,26 +143,41 @@ fn keep(setting: &Setting, variants: &[&StudyVariant]) -> Setting {
 /// Returns the variants whose label, or whose method, is one of the `chosen` names; all if no name fits this setting.
 fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a StudyVariant> {
     let families = VariantFamily::group(setting);
-    let is_chosen = |family: &VariantFamily<'_>, variant: &StudyVariant| {
-        chosen.iter().any(|name| *name == variant.label || *name == family.name || *name == family.title)
-    };
     let variants = |family: &VariantFamily<'a>| {
-        family.variants.iter().copied().filter(|variant| is_chosen(family, variant)).collect::<Vec<_>>()
+        let is_chosen = |variant: &&StudyVariant| chosen.iter().any(|name| is_name(name, family, variant));
+        family.variants.iter().copied().filter(is_chosen).collect::<Vec<_>>()
     };
     let selected: Vec<&StudyVariant> = families.iter().flat_map(variants).collect();
     if selected.is_empty() { setting.variants.iter().collect() } else { selected }
 }
 
+/// Returns whether `name` is the label of `variant`, with or without the axis that figures omit, or its method.
+fn is_name(name: &str, family: &VariantFamily<'_>, variant: &StudyVariant) -> bool {
+    let without_axis = variant.label.split_once(' ').map(|(_, value)| value);
+    [variant.label.as_str(), &family.name, &family.title].contains(&name) || without_axis == Some(name)
+}
+
 /// Returns the variants of at most [`CURVES`] methods, those whose best variant is best by the first metric.
 fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
-    let headline = setting.headline();
     let best = |family: &VariantFamily<'_>| {
-        let scores = family.variants.iter().filter_map(|variant| variant.score(headline.key));
-        scores.map(|score| headline.cost(score.mean)).fold(f64::INFINITY, f64::min)
+        family.variants.iter().map(|variant| cost(setting, variant)).fold(f64::INFINITY, f64::min)
     };
     let mut families = VariantFamily::group(setting);
     families.sort_by(|a, b| best(a).total_cmp(&best(b)));
     families.into_iter().take(CURVES).flat_map(|family| family.variants).collect()
+}
+
+/// Returns the variant of each method that is best by the first metric.
+pub(super) fn best_variants(setting: &Setting) -> Vec<&StudyVariant> {
+    let by_cost = |a: &&StudyVariant, b: &&StudyVariant| cost(setting, a).total_cmp(&cost(setting, b));
+    let families = VariantFamily::group(setting);
+    families.iter().filter_map(|family| family.variants.iter().copied().min_by(by_cost)).collect()
+}
+
+/// Returns the mean of the first metric as a cost: smaller is better, infinite without scores.
+fn cost(setting: &Setting, variant: &StudyVariant) -> f64 {
+    let headline = setting.headline();
+    variant.score(headline.key).map_or(f64::INFINITY, |score| headline.cost(score.mean))
 }
 
 /// Returns whether a baseline is an oracle baseline in any run.
@@ -167,7 +213,10 @@ pub(in super::super) fn check_variants(settings: &[Setting], chosen: &[String]) 
     let families: Vec<VariantFamily<'_>> = settings.iter().flat_map(VariantFamily::group).collect();
     let labels = families.iter().flat_map(|family| family.variants.iter().map(|variant| variant.label.as_str()));
     let names = distinct(labels.chain(families.iter().map(|family| family.title.as_str())));
-    match chosen.iter().find(|name| !names.contains(&name.as_str())) {
+    let is_known = |name: &&String| {
+        families.iter().any(|family| family.variants.iter().any(|variant| is_name(name, family, variant)))
+    };
+    match chosen.iter().find(|name| !is_known(name)) {
         None => Ok(()),
         Some(name) => {
             let hint = did_you_mean(name, names.iter().copied());
@@ -198,6 +247,7 @@ mod tests {
         };
         assert_eq!(check(&["masks", "WRF-GS"]), Ok(()));
         assert_eq!(check(&["masks λ 2"]), Ok(()));
+        assert_eq!(check(&["λ 2"]), Ok(()), "as in figures, without the axis");
         assert!(check(&["mask"]).unwrap_err().contains("no variant or method `mask`; did you mean `masks`?"));
         assert!(check(&["masks"; 7]).unwrap_err().contains("7 names; a figure has at most 6 curves"));
     }
