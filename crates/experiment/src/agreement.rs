@@ -120,7 +120,7 @@ impl std::fmt::Display for Agreement {
 }
 
 /// Returns whether a measurement lies outside its interval: by `score`, the SSIM of the prediction, if the interval bounds it,
-/// otherwise by the value, which is a single one.
+/// otherwise by the only value of the observation.
 fn is_outside(interval: &Interval, truth: &Image, score: f64) -> bool {
     match interval.ssim {
         Some(bound) => score < bound,

@@ -244,8 +244,8 @@ impl OpenEvaluation<'_, '_, '_> {
 }
 
 impl TestScorer<'_, '_, '_> {
-    /// Fits `baseline` to training and validation samples and scores it. If the model has intervals and it is no oracle, also
-    /// scores its intervals.
+    /// Fits `baseline` to training and validation samples and scores it. If the model has intervals, also scores those of the
+    /// baseline, unless it is an oracle.
     fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>) -> Result<ScoredBaseline> {
         let SplitData { data, partition } = self.run.split;
         let run = &mut *self.run;

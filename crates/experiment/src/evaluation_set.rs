@@ -54,7 +54,10 @@ impl<'a> Predictor<'a> {
     /// Predicts one link and returns the time per stage; for a baseline only `total`.
     fn time(self, query: Query<'_>) -> StageTimes {
         match self {
-            Self::Model(model, _) => model.predict_timed(query).1,
+            Self::Model(model, _) => {
+                let (_, times) = model.predict_timed(query);
+                times
+            }
             Self::Baseline(fitted) => {
                 let begun = Instant::now();
                 std::hint::black_box(fitted.predict(query));

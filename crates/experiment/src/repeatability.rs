@@ -315,7 +315,8 @@ impl<'a> CeilingEstimator<'a> {
             self.measured.push((lag, self.comparison.measure(lag, false)?));
             self.measured.len() - 1
         };
-        Ok(&self.measured[index].1)
+        let (_, similarity) = &self.measured[index];
+        Ok(similarity)
     }
 }
 

@@ -70,7 +70,7 @@ pub fn nearest_training_distances(data: &Dataset, trained: &[usize]) -> Vec<Real
     let nearest: Vec<f64> = data.locations.par_iter().map(|at| lookup.distance(&at.position())).collect();
     let mut others = nearest.clone();
     for (&t, other) in locations.iter().zip(nearest_others(&train)) {
-        others[t] = other.map_or(f64::INFINITY, |other| other.0);
+        others[t] = other.map_or(f64::INFINITY, |(distance, _)| distance);
     }
     let mut is_training = vec![false; data.len()];
     trained.iter().for_each(|&i| is_training[i] = true);

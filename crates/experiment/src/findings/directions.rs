@@ -36,20 +36,22 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
     };
     let units = MEANINGS.iter().filter(|meaning| meaning.finding == "position-unit");
     let angles = units.map(|meaning| (angle_by(meaning.position), meaning));
-    let (degrees, Meaning { finding, words, mend, .. }) = angles.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (degrees, Meaning { finding, words, mend, .. }) = angles.min_by(|(a, _), (b, _)| a.total_cmp(b))?;
     if degrees < (MUCH_BETTER * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
+        let (first, _) = directions[0];
         let problem = format!(
             "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \
              {} {} at {:?})",
             pose.recorded,
             moving_end(data),
-            data.sample(directions[0].0).id,
-            round(data.sample(directions[0].0).position())
+            data.sample(first).id,
+            round(data.sample(first).position())
         );
         return Some(Finding::new(finding, pose.pairs, problem, *mend));
     }
     let is_open = matches!(pose.verdict, PoseVerdict::NotDirect | PoseVerdict::Unclear) && pose.spread >= WIDE_DEG;
     let rows: Vec<usize> = directions.iter().map(|(sample, _)| data.links[*sample].location).collect();
+    let strongest: Vec<DVec3> = directions.iter().map(|(_, strongest)| *strongest).collect();
     let has_rows = is_open && data.scene.receivers.len() == 1 && !data.scene.moving.is_receiver();
-    has_rows.then(|| check_rows(data, &rows, &|a, b| angle(directions[a].1, directions[b].1))).flatten()
+    has_rows.then(|| check_rows(data, &rows, &|a, b| angle(strongest[a], strongest[b]))).flatten()
 }

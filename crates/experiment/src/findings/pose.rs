@@ -147,7 +147,8 @@ fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (
     let in_world: Vec<DirectionPair> =
         sightings.iter().map(|sighting| (sighting.sight, sighting.recorded * sighting.strongest)).collect();
     let (right, left) = (turned(pairs, Correction::Right), turned(&in_world, Correction::Left));
-    if left.0 < right.0 { left } else { right }
+    let ((right_angle, ..), (left_angle, ..)) = (right, left);
+    if left_angle < right_angle { left } else { right }
 }
 
 /// Returns the flips of columns and of rows, with the median angle after the best rotation, degrees; empty if the plane has
@@ -340,14 +341,14 @@ impl PoseCheck {
     /// better than the recorded pose and about as well as the best rotation.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let limit = (MUCH_BETTER * self.recorded).min(EXPLAINS * self.turned);
-        self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
+        self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|(_, a), (_, b)| a.total_cmp(b)).copied()
     }
 
     /// Returns the best flip and its angle in degrees; `None` unless it fits much better than any rotation, and the strongest
     /// direction then follows the line of sight.
     fn best_flip(&self) -> Option<&(Flip, f64)> {
         let limit = (MUCH_BETTER * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
-        self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1))
+        self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|(_, a), (_, b)| a.total_cmp(b))
     }
 }
 

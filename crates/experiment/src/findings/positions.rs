@@ -136,7 +136,7 @@ pub(super) fn round(position: [f64; 3]) -> [f64; 3] {
 
 /// Returns the median distance to the nearest other position, in the unit of the positions.
 fn median_spacing(positions: &[[f64; 3]]) -> f64 {
-    median(nearest_others(positions).into_iter().flatten().map(|other| other.0))
+    median(nearest_others(positions).into_iter().flatten().map(|(distance, _)| distance))
 }
 
 /// Describes what contradicts a large `site` of this length in metres: heights, links stronger than free space allows, or its

@@ -93,7 +93,7 @@ fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
     let units = PowerUnit::guess(readings);
     let first = data.observations.powers()?.iter().position(|value| readings.first() == Some(value))?;
     // Only dBm without their sign rise with the distance.
-    let slope = LevelLinks::of(data).map_or(0.0, |links| links.fit_recorded().1);
+    let (_, slope) = LevelLinks::of(data).map_or((0.0, 0.0), |links| links.fit_recorded());
     let fits = |unit: &&PowerUnit| slope == 0.0 || (**unit == PowerUnit::PositiveDbm) == (slope > 0.0);
     let may_lack_sign = units.contains(&PowerUnit::PositiveDbm);
     let units = units.iter().filter(|unit| !may_lack_sign || fits(unit));

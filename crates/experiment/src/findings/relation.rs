@@ -134,7 +134,7 @@ impl LevelLinks {
             let fit = self.fit(&|used| used == end, &|at| self.locations[at], &|_| self.fixed[slot]);
             fits.push((falling_share(fit), end, slot));
         }
-        fits.sort_by(|a, b| b.0.total_cmp(&a.0));
+        fits.sort_by(|(a, ..), (b, ..)| b.total_cmp(a));
         let (mut order, mut is_taken) = (vec![usize::MAX; count], vec![false; count]);
         for (_, end, slot) in fits {
             if order[end] == usize::MAX && !is_taken[slot] {
@@ -215,10 +215,10 @@ pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
         .map(|row| data.links_of(&[*row]).into_iter().map(|i| (data.links[i].receiver, powers[i] as f64)).collect())
         .collect();
     check_rows(data, &rows, &|a, b| {
-        let other = |receiver: usize| levels[b].binary_search_by_key(&receiver, |entry| entry.0).ok();
+        let other = |receiver: usize| levels[b].binary_search_by_key(&receiver, |(receiver, _)| *receiver).ok();
         let shared = levels[a].iter().filter_map(|(receiver, level)| {
-            let other = other(*receiver)?;
-            Some((level - levels[b][other].1).abs())
+            let (_, other) = levels[b][other(*receiver)?];
+            Some((level - other).abs())
         });
         mean(shared)
     })
@@ -241,7 +241,10 @@ pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usi
     let positions: Vec<[f64; 3]> = rows.iter().map(|row| data.locations[*row].position()).collect();
     let chosen = evenly(&(0..rows.len()).collect::<Vec<_>>(), *LOCATIONS.end());
     let lookup = Nearest::of(&positions);
-    let other = |row: &usize| lookup.find(&positions[*row], 2).1.into_iter().map(|n| n.1).find(|other| other != row);
+    let other = |row: &usize| {
+        let (_, near) = lookup.find(&positions[*row], 2);
+        near.into_iter().map(|(_, other)| other).find(|other| other != row)
+    };
     let nearest: Vec<usize> = chosen.iter().filter_map(other).collect();
     let average = |other: &mut dyn FnMut(usize) -> usize| {
         mean((0..nearest.len()).map(|k| difference(chosen[k], other(k))).filter(|value| value.is_finite()))

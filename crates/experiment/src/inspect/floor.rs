@@ -55,10 +55,10 @@ fn score_neighbours(data: &Dataset) -> Vec<(f64, f64)> {
     let receivers = by_receiver.iter().filter(|links| links.len() > 1).count().max(1);
     let most = (if task.is_scalar { NUMBERS } else { PAIRS }).div_ceil(receivers);
     let pairs_of = |links: &Vec<usize>| {
-        let nearest = Nearest::new(links, 3, position);
+        let lookup = Nearest::new(links, 3, position);
         let pair = |&i: &usize| {
-            let (distance, j) =
-                nearest.find(&position(i), SEARCHED).1.into_iter().find(|(distance, _)| *distance > 0.0)?;
+            let (_, near) = lookup.find(&position(i), SEARCHED);
+            let (distance, j) = near.into_iter().find(|(distance, _)| *distance > 0.0)?;
             Some((distance, task.score(&task.shown(data.image(j)), &data.image(i))))
         };
         evenly(links, most).par_iter().filter_map(pair).collect::<Vec<_>>()

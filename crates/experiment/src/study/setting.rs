@@ -161,7 +161,8 @@ pub(super) fn setting_key(record: &Record) -> Result<Value> {
     let failed = |e| Error::input(&record.folder, format!("data and split cannot be compared: {e}"));
     let Pipeline { data, split, .. } = &record.pipeline;
     let [data, mut split] = [named_fields(data).map_err(failed)?, named_fields(split).map_err(failed)?];
-    if let Some(fields) = split.1.as_object_mut() {
+    let (_, fields) = &mut split;
+    if let Some(fields) = fields.as_object_mut() {
         fields.remove("validation");
     }
     Ok([data, split].into_iter().map(|(name, fields)| Value::from_iter([(name, fields)])).collect())
@@ -187,7 +188,7 @@ pub(super) fn group_by_setting(records: Vec<(Labels, Record)>) -> Result<Vec<Set
     let mut settings: Vec<(Value, Setting)> = Vec::new();
     for (key, group) in groups {
         let splits = distinct(group.iter().map(|(_, record)| ron_line(&record.pipeline.split)));
-        let facts = &group[0].1.facts;
+        let (_, Record { facts, .. }) = &group[0];
         let (title, simulated) = (format!("{}; {}", facts.data, splits.join(" and ")), facts.simulated);
         settings.push((key, Setting { title, simulated, variants: group_by_variant(group)? }));
     }

@@ -121,7 +121,7 @@ impl SweepPlan {
         );
         if total > LONG_SECONDS {
             let mut slowest: Vec<(usize, f64)> = runs.iter().copied().zip(seconds.iter().copied()).collect();
-            slowest.sort_by(|a, b| b.1.total_cmp(&a.1));
+            slowest.sort_by(|(_, a), (_, b)| b.total_cmp(a));
             let mut seen = BTreeSet::new();
             slowest.retain(|(run, seconds)| seconds.is_finite() && seen.insert(self.runs[*run].combination));
             slowest.truncate(SLOWEST);
