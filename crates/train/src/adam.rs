@@ -31,14 +31,14 @@ impl Rates<'_> {
         AdamUpdate { rate, eps, unbias, l2: 0.0, decay: 0.0 }
     }
 
-    /// Returns the update of column `name` of the cloud; `None` if it is not learned.
+    /// Returns the update of column `name` of the cloud; `None` if it is not learned, or its rate is 0.
     pub(crate) fn column_update(self, specs: &[ColumnSpec], name: &str) -> Option<AdamUpdate> {
         let (spec, optimizer) = (specs.iter().find(|spec| spec.name == name), &self.training.optimizer);
         let rate = column_rate(optimizer, spec, name, |schedule| self.rate(schedule))?;
         Some(self.update_constants(rate, optimizer.eps))
     }
 
-    /// Returns the update of a group of weights of the network.
+    /// Returns the update of a group of network weights, with warm-up; with decay if the group [decays](WeightGroup::decays).
     pub(crate) fn weight_update(self, group: &WeightGroup) -> AdamUpdate {
         let optimizer = &self.training.optimizer;
         let warm = (self.step as f64 / optimizer.network_warmup.max(1) as f64).min(1.0) as Real;
@@ -55,7 +55,7 @@ impl Adam {
         Self { cloud: [zeros.clone(), zeros], weights: [vec![0.0; weights.len()], vec![0.0; weights.len()]] }
     }
 
-    /// Updates the columns of the cloud.
+    /// Updates the learned columns of the cloud by Adam, or by [gradient descent](ColumnSpec::adam) at rate · N.
     ///
     /// # Errors
     /// A column is no longer finite; the message is the name of the first.
@@ -83,7 +83,7 @@ impl Adam {
     /// Updates the learned weights of the network.
     ///
     /// # Errors
-    /// A weight is no longer finite; the message is the name of the network.
+    /// A weight is no longer finite; the message is `the network`.
     pub(crate) fn step_weights(
         &mut self,
         rates: Rates<'_>,
@@ -108,18 +108,18 @@ fn column_rate(
     optimizer: &Optimizer,
     spec: Option<&ColumnSpec>,
     name: &str,
-    rate: impl Fn(Schedule) -> Real,
+    rate_of: impl Fn(Schedule) -> Real,
 ) -> Option<Real> {
     let rate = match name {
-        "means" => rate(optimizer.means),
-        "log_scales" => rate(optimizer.log_scales),
-        "quats" => rate(optimizer.quats),
-        "opacity_logits" => rate(optimizer.opacity_logits),
-        "signals" => rate(optimizer.signals),
+        "means" => rate_of(optimizer.means),
+        "log_scales" => rate_of(optimizer.log_scales),
+        "quats" => rate_of(optimizer.quats),
+        "opacity_logits" => rate_of(optimizer.opacity_logits),
+        "signals" => rate_of(optimizer.signals),
         // Columns that no pruner requested belong to the method: further signals.
         _ => match spec {
             Some(spec) => spec.learning_rate?,
-            None => rate(optimizer.signals),
+            None => rate_of(optimizer.signals),
         },
     };
     (rate != 0.0).then_some(rate)

@@ -22,7 +22,7 @@ pub(crate) struct Batches {
 }
 
 impl Batches {
-    /// Creates batches of the links `train` of `data`, which are sorted.
+    /// Creates batches of the links `train` of `data`; they must ascend, so that links of one location are adjacent.
     pub(crate) fn new(data: &Dataset, train: Vec<usize>) -> Self {
         let same = |a: &usize, b: &usize| data.links[*a].location == data.links[*b].location;
         let mut transmitters: Vec<Range<usize>> = Vec::new();
@@ -43,9 +43,9 @@ impl Batches {
         self.transmitters.len()
     }
 
-    /// Creates the batch of `step`: transmitters with their random shifts, and the observations of their links; of
-    /// spectra only the pixels that `stages` draws. Draws a new order of transmitters if an epoch begins. With
-    /// [`Rays::Each`], draws random links with one pixel each in place of transmitters, without epochs.
+    /// Creates the batch of `step` (from 1): transmitters with their random shifts, and the observations of their links; of
+    /// spectra only the pixels that `stages` draws and [`Rays`] selects. Draws a new order of transmitters if an epoch
+    /// begins. With [`Rays::Each`], draws random links with one pixel each in place of transmitters, without epochs.
     ///
     /// # Errors
     /// A spectrum cannot be read.
@@ -91,7 +91,7 @@ impl Batches {
     }
 
     /// Returns the batches of a pass over some `transmitters`, without shifts: groups of at most [`AT_ONCE`], each with
-    /// the stages that `stages_of` returns for its number.
+    /// the stages that `stages_of` returns for the number of the group, from 0.
     ///
     /// # Errors
     /// A spectrum cannot be read.
@@ -102,23 +102,23 @@ impl Batches {
         stages_of: impl Fn(u64) -> Stages,
     ) -> impl Iterator<Item = Result<(Stages, Batch)>> {
         let mut remaining = transmitters.into_iter().peekable();
-        let mut parts = 0..;
+        let mut groups = 0..;
         std::iter::from_fn(move || {
             remaining.peek()?;
             let group: Vec<usize> = remaining.by_ref().take(AT_ONCE).collect();
-            let stages = stages_of(parts.next()?);
+            let stages = stages_of(groups.next()?);
             let batch = build_batch(&self.links_of(&group), data, &stages, PixelSubset::All, &mut |x| x);
             Some(batch.map(|batch| (stages, batch)))
         })
     }
 }
 
-/// Draws `count` uniform indices below `numbers`.
-fn draw_rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Arc<[usize]> {
-    (0..count).map(|_| rng::below(random, numbers)).collect()
+/// Draws `count` uniform indices below `value_count`, which may repeat.
+fn draw_rays(count: usize, value_count: usize, random: &mut rng::Rng) -> Arc<[usize]> {
+    (0..count).map(|_| rng::below(random, value_count)).collect()
 }
 
-/// Random shift of a coordinate of the moving end, metres.
+/// Function from a coordinate of the moving end to its shifted coordinate, metres.
 type Shift<'a> = &'a mut dyn FnMut(Real) -> Real;
 
 /// Creates the batch of some links, grouped by location, with shifted positions of the moving end.
@@ -139,8 +139,8 @@ fn build_batch(
 }
 
 /// Returns the network inputs of some links: features per link, or a shifted position that links of one location and
-/// carrier share. Unless `each` is true, a link out of ascending order begins another draw of its location, with another
-/// shift: a batch may contain a transmitter twice.
+/// carrier share. A link out of ascending order begins another draw of its location, with another shift: a batch may
+/// contain a transmitter twice. If `each` is true, links are single draws, which may repeat and share the shift.
 fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, shift: Shift<'_>) -> LinkInputs {
     let (mut inputs, mut last_link) = (LinkInputs::of(stages.method.traits().inputs, &stages.setup), None);
     let (carriers, mut last_carrier, mut pose) = (stages.carriers(), None, Pose::IDENTITY);
@@ -154,6 +154,7 @@ fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, 
         } else if last_link.is_none_or(|(l, j)| l != location || j >= i && !each) || carrier != last_carrier {
             pose = stages.origin.local_pose(query.pose);
             let (shifted, exact) = (pose.position_vec().to_array().map(&mut *shift), pose.position_vec().to_array());
+            // Adds the shift alone: `exact` is rounded to [`Real`].
             (0..3).for_each(|k| pose.position[k] += (shifted[k] - exact[k]) as f64);
             inputs.values.extend(shifted);
             inputs.carriers.extend(carrier);
@@ -165,8 +166,8 @@ fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, 
     inputs
 }
 
-/// Reads the selected values of the observations of some links, `[L, values]`: those that `stages` draws, stretched if
-/// its method stretches sampled spectra. `data.observations.check` reports failed reads.
+/// Reads the selected values of the observations of some links, `[L, values]`, on the image plane of `stages`.
+/// Whole spectra of a stride above 1 are stretched if the method does so. `data.observations.check` reports failed reads.
 fn read_truths(links: &[usize], data: &Dataset, stages: &Stages, pixels: &PixelSubset) -> Vec<Real> {
     let link_values = pixels.count_per_link(stages.value_count());
     let sampling = stages.plane.sampling;

@@ -88,7 +88,7 @@ impl<'a> Trainer<'a> {
     /// Restores the trainer from `bytes`, for the same plan and data.
     ///
     /// # Errors
-    /// [`Error::Config`] if the bytes are damaged or belong to another training, or if plan and data do not fit together.
+    /// [`Error::Config`] if the bytes are damaged or belong to another training, and as [`Self::new`] for plan and data.
     pub fn restore(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
         let mut trainer = Self::blank(plan, data, partition)?;
         trainer
@@ -97,7 +97,7 @@ impl<'a> Trainer<'a> {
         Ok(trainer)
     }
 
-    /// Reads the state from the bytes of a checkpoint.
+    /// Reads the state from the bytes of a checkpoint: the tensors that [`Self::checkpoint`] puts, by the same names.
     ///
     /// # Errors
     /// The bytes are damaged, are of another version, or belong to another training; the message states the difference.
@@ -133,11 +133,11 @@ impl<'a> Trainer<'a> {
 }
 
 /// Returns plain data as JSON text.
-fn to_json(note: &impl Serialize) -> String {
-    serde_json::to_string(note).expect("plain data")
+fn to_json(data: &impl Serialize) -> String {
+    serde_json::to_string(data).expect("plain data")
 }
 
-/// Number of samples that are hashed together.
+/// Number of samples per digest; the digests are computed in parallel.
 const CHUNK: usize = 64;
 
 /// Returns a digest of all parts of `plan` that affect training, of `data`, and of the training links. It excludes the

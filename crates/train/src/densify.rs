@@ -3,7 +3,7 @@
 use crate::adam::Adam;
 use crate::edit::{self, PerGaussianState, RemovalsByRule};
 use crate::settings::Densify;
-use pwrfgs_core::{CloudStats, GaussianCloud, Real, RowOrigin, Vec3, logit, rng, sigmoid};
+use pwrfgs_core::{CloudStats, GaussianCloud, Real, RowOrigin, Vec3, best, logit, rng, sigmoid};
 
 /// Divisor of the scales of the two children of a split, as in 3DGS: 0.8 times the number of children.
 pub(crate) const SPLIT_SHRINK: Real = 1.6;
@@ -20,7 +20,7 @@ pub(crate) fn is_reset_due(settings: &Densify, step: u64) -> bool {
     settings.reset_every > 0 && step.is_multiple_of(settings.reset_every)
 }
 
-/// Returns the size of the scene, metres: that of the settings, or half the diagonal of the `bounds` of the scene.
+/// Returns the size of the scene, metres: `extent_m`, or if it is 0, half the diagonal of the `bounds` of the scene.
 pub(crate) fn extent(settings: &Densify, (low, high): ([Real; 3], [Real; 3])) -> Real {
     match settings.extent_m {
         0.0 => 0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length(),
@@ -28,8 +28,8 @@ pub(crate) fn extent(settings: &Densify, (low, high): ([Real; 3], [Real; 3])) ->
     }
 }
 
-/// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones. The
-/// last Gaussian is never removed. `extent` is the size of the scene, metres. Returns the number of Gaussians before
+/// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones; keeps
+/// at least one. Statistics are reset. `extent` is the size of the scene, metres. Returns the number of Gaussians before
 /// the removal, and the number to which each rule applies.
 pub(crate) fn densify(
     settings: &Densify,
@@ -39,8 +39,8 @@ pub(crate) fn densify(
 ) -> (usize, RemovalsByRule) {
     let n = state.cloud.len();
     let chosen = select_strong(settings, n, state.stats);
-    let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
-    let mut copies = Vec::new();
+    let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new()); // children: new row and mean
+    let mut copies = Vec::new(); // row and whether it is small
     for (i, chosen) in chosen.iter().enumerate() {
         let is_small = largest_scale(state.cloud, i) <= settings.clone_below * extent;
         if !chosen || is_small {
@@ -66,8 +66,8 @@ pub(crate) fn densify(
     (before, remove_by_rules(settings, extent, step, state))
 }
 
-/// Returns whether each of the `n` Gaussians is densified: its mean gradient norm reaches the threshold, and if
-/// `max_gaussians` limits their number, those with the largest norms.
+/// Returns whether each of the `n` Gaussians is densified: its mean gradient norm reaches the threshold. If this would exceed
+/// `max_gaussians`, only those with the largest norms are: each adds one Gaussian.
 fn select_strong(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
     let mean = |i: usize| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 };
     let mut strong: Vec<usize> = (0..n).filter(|&i| mean(i) >= settings.gradient_threshold).collect();
@@ -83,7 +83,7 @@ fn select_strong(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> 
 /// Draws a point from Gaussian `i`: μ + R(q)·(s ∘ N(0, 1)).
 fn draw_child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 3] {
     let [w, x, y, z] = cloud.quats[i];
-    let norm = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
+    let norm = (w * w + x * x + y * y + z * z).sqrt().max(1e-12); // no division by 0
     let (w, v) = (w / norm, Vec3::new(x, y, z) / norm);
     let offset = Vec3::from_array(cloud.log_scales[i].map(|s| s.exp() * rng::normal(random)));
     // Rotation by a unit quaternion: o + 2 v × (v × o + w o).
@@ -115,15 +115,13 @@ pub(crate) fn largest_scale(cloud: &GaussianCloud, i: usize) -> Real {
     cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp()
 }
 
-/// Keeps the Gaussian with the best score if `keep` has none, and warns that `subject` would remove all.
+/// Keeps the Gaussian with the [best] score if `keep` has none, and warns that `subject` would remove all.
 pub(crate) fn keep_best_if_none(keep: &mut [bool], scores: &[Real], subject: &str) {
-    if keep.iter().any(|k| *k) {
+    if keep.contains(&true) || keep.is_empty() {
         return;
     }
-    if let Some(best) = (0..keep.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b])) {
-        tracing::warn!("{subject} would remove all Gaussians; the best one is kept");
-        keep[best] = true;
-    }
+    tracing::warn!("{subject} would remove all Gaussians; the best one is kept");
+    keep.copy_from_slice(&best(1, scores, |_| true));
 }
 
 /// Lowers all opacities to at most `limit`, and resets their moments.
@@ -196,6 +194,13 @@ mod tests {
         let mut state = PerGaussianState { cloud: &mut cloud, adam: &mut adam, stats: &mut stats, gaussian_ids };
         densify(&settings, 1.0, (0, 600), &mut state);
         assert_eq!(cloud.len(), 1);
+    }
+
+    #[test]
+    fn best_gaussian_is_kept_and_nan_is_worst() {
+        let mut keep = [false; 3];
+        keep_best_if_none(&mut keep, &[Real::NAN, 0.5, 0.5], "a test");
+        assert_eq!(keep, [false, true, false]);
     }
 
     #[test]

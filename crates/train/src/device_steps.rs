@@ -6,8 +6,9 @@ use crate::trainer::{StepReport, Trainer};
 use pwrfgs_core::{DeviceStep, Error, Real, Result, TrainingState, device};
 use std::sync::Arc;
 
-/// Maximum number of steps that run together, and of bytes of their measured spectra.
+/// Maximum number of steps that run together.
 const MOST_STEPS: u64 = 100;
+/// Size of their measured spectra from which no further step is added, bytes: the host holds all of them.
 const MOST_BYTES: usize = 16 << 20;
 
 impl Trainer<'_> {
@@ -24,8 +25,8 @@ impl Trainer<'_> {
         })
     }
 
-    /// Runs up to `most` steps on a device; `None` if it does not keep the parameters, or if something in the next step is
-    /// unknown to it.
+    /// Runs up to `most` steps on a device; `None` if there is none that keeps the parameters and supports the next step.
+    /// Errors are those of [`Self::step`].
     fn run_on_device(&mut self, most: u64) -> Result<Option<Vec<StepReport>>> {
         if device::name().is_none() {
             return Ok(None);
@@ -66,7 +67,7 @@ impl Trainer<'_> {
         Ok(Some(reports))
     }
 
-    /// Returns up to `most` steps, up to the first that edits the cloud or that a device cannot run.
+    /// Returns the next steps, up to `most`: until one edits the cloud, and before the first that a device cannot run.
     ///
     /// # Errors
     /// A spectrum cannot be read.

@@ -17,7 +17,8 @@ pub(crate) struct PerGaussianState<'a> {
     pub(crate) gaussian_ids: &'a mut GaussianIds,
 }
 
-/// Rewrites cloud, moments and IDs so that new row k is old row `rows[k]`. Statistics are reset.
+/// Rewrites cloud, moments and IDs so that new row k is old row `rows[k]`. A copied row has a new ID and moments of 0.
+/// Statistics are reset.
 pub(crate) fn rewrite(rows: &[RowOrigin], state: &mut PerGaussianState<'_>) {
     let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     *state.cloud = state.cloud.select(&sources);
@@ -56,7 +57,7 @@ pub(crate) fn replace(edit: CloudEdit, state: &mut PerGaussianState<'_>) {
         |cloud: &GaussianCloud| cloud.columns().map(|(name, width, _)| (name.to_owned(), width)).collect::<Vec<_>>();
     assert!(
         fits && columns(&cloud) == columns(state.cloud),
-        "an edit names a row of the cloud for each of its own, and keeps the columns"
+        "an edit of a pruner has Gaussians, an old row for each, and the same columns"
     );
     let mut stats = state.stats.select(&rows.iter().map(|row| row.source()).collect::<Vec<_>>());
     rewrite(&rows, state);

@@ -82,8 +82,8 @@ impl CountCurve {
         growing * first + (whole + falling * mean) * full + after * last
     }
 
-    /// Returns the time of all steps, seconds, if the share `kept` remains, from timed steps (N, seconds) with two
-    /// different N (linear between and beyond them), or one N.
+    /// Returns the time of all steps, seconds, if the share `kept` remains. The time of a step is linear in N through two
+    /// timed points (N, seconds), or constant if their N are equal.
     fn total_seconds(&self, kept: f64, [(n, time), (other_n, other_time)]: [(f64, f64); 2]) -> f64 {
         let slope = if n == other_n { 0.0 } else { ((time - other_time) / (n - other_n)).max(0.0) };
         let fixed = (other_time - slope * other_n).max(0.0);
@@ -139,6 +139,7 @@ impl Trainer<'_> {
         } else {
             start
         };
+        // The shortest time belongs to the least share and the lower quartiles, and so on.
         let total = |k: usize| curve.total_seconds(kept[k], [(n as f64, start[k]), (last as f64, end[k])]);
         Ok(TimeEstimate {
             start: TimedSteps { gaussians: n, step_seconds: start[1] },
@@ -157,8 +158,8 @@ impl Trainer<'_> {
         let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
         let grows = t.densify.every > 0 && t.densify.from < before && self.stages.method.traits().blends;
         let full = if grows { n.max(t.densify.max_gaussians) } else { n };
-        let masks = pruners.iter().filter_map(|pruner| pruner.steps_to_close(AdamUpdate::BETAS)).min();
-        let (from, kept) = match (self.goal, masks) {
+        let closing = pruners.iter().filter_map(|pruner| pruner.steps_to_close(AdamUpdate::BETAS)).min();
+        let (from, kept) = match (self.goal, closing) {
             _ if n < 2 || until == before || pruners.is_empty() => (until, [1.0; 3]),
             (Some(goal), _) => (before, [goal.target.min(full) as f64 / full as f64; 3]),
             (None, Some(closed)) => (closed.min(until), KEPT_BY_MASKS),
@@ -173,8 +174,8 @@ impl Trainer<'_> {
         (curve, kept)
     }
 
-    /// Returns the shortest and longest expected time of the initial search, seconds, or an error if the initialiser does not
-    /// support data or method.
+    /// Returns the shortest and longest expected time of the initial search, seconds; 0 without one. Returns an error if the
+    /// initialiser does not support data or method.
     fn search_seconds(&self) -> Result<[f64; 2]> {
         let input = InitializerInput {
             data: self.data,

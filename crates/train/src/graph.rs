@@ -180,7 +180,7 @@ impl Gates {
     }
 }
 
-/// Multiplies `product` by `factor`; no product is 1.
+/// Multiplies `product` by `factor`; a product of `None` is 1.
 fn multiply(product: &mut Option<Trace>, factor: Trace) {
     *product = Some(match product.take() {
         Some(product) => product * factor,
@@ -193,7 +193,7 @@ pub(crate) fn gate_product(cloud: &GaussianCloud, plan: &TrainingPlan, context: 
     Gates::of(&TracedCloud::new(cloud), &plan.pruners, context).whole.as_ref().map(values)
 }
 
-/// Returns which Gaussians `[N]` are drawn, including the existence gates of this step. `None` without a gate.
+/// Returns whether the gates of this step leave each Gaussian open, `[N]`, also those of existence. `None` without a gate.
 pub(crate) fn drawn_mask(cloud: &GaussianCloud, plan: &TrainingPlan, context: &StepContext) -> Option<Vec<bool>> {
     let Gates { whole, existence } = Gates::of(&TracedCloud::new(cloud), &plan.pruners, context);
     // An existence gate is 0 or 1 but for the rounding of its straight-through mask.
@@ -244,7 +244,8 @@ impl DrawableGaussians {
         scattered
     }
 
-    /// Returns the derivatives of the whole cloud: of the columns `names` and of the gates; writes statistics.
+    /// Returns the derivatives of the whole cloud, in the order of [`Graph::inputs`]: of the columns `names` and of the gates.
+    /// Writes statistics.
     fn scatter_all(&self, names: &[&str], sums: &MethodVjp, stats: &mut CloudStats) -> Vec<Vec<Real>> {
         for ((_, column), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
             *column = self.scatter(1, drawn);
@@ -270,8 +271,9 @@ struct Graph {
 }
 
 impl Graph {
-    /// Runs method and loss as ops on the columns of the cloud and the gates (and Θ, outside the tape) → a scalar: as one op
-    /// if the method computes both, otherwise over the observations `[L, numbers]`.
+    /// Returns the loss on the tape: one op of columns and gates if the method computes it, otherwise an op for the
+    /// observations `[L, numbers]` and [another](Self::loss) for their loss. Fills `d_weights` and `stats`, now or in the
+    /// backward pass.
     fn observed_loss(&self, traced: &TracedCloud, gates: Gates, objective: &dyn Objective) -> TraceScalar {
         let (names, inputs) = self.inputs(traced, gates);
         let call = self.batch.call(&self.stages.setup, self.drawable.parameters(&self.weights));
@@ -318,6 +320,7 @@ impl Graph {
         let plane = &self.stages.plane;
         let size = match self.batch.pixels {
             PixelSubset::All => (plane.width, plane.height),
+            // Only losses without SSIM receive selected pixels: their shape has no effect.
             _ => (self.batch.truths.len(), 1),
         };
         let (value, d_observed) = objective.evaluate(&observed.as_vec(), &self.batch.truths, size);

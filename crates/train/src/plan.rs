@@ -22,8 +22,8 @@ pub struct TrainingPlan {
 }
 
 impl TrainingPlan {
-    /// Returns the parts of [`check_compatible`](pwrfgs_core::check_compatible), without data; `initial` is the number of initial
-    /// Gaussians, if known.
+    /// Returns this plan as parts for [`check_compatible`](pwrfgs_core::check_compatible), without data; `initial` is the number
+    /// of initial Gaussians, if known.
     pub fn parts(&self, initial: Option<usize>) -> Parts<'_> {
         let Training { rays, stride, prune_until, densify_until, target_count: target, .. } = *self.training;
         // Pixels per spectrum; 0 for pairs of spectrum and pixel.
@@ -34,7 +34,7 @@ impl TrainingPlan {
         Parts { method, pruners: &self.pruners, training, ..Parts::default() }
     }
 
-    /// Returns the largest number of Gaussians after densification: 0 without densification, `usize::MAX` without a limit.
+    /// Returns the limit of densification on the number of Gaussians: 0 without densification, `usize::MAX` without a limit.
     fn max_densified(&self) -> usize {
         let Densify { every, from, max_gaussians, .. } = self.training.densify;
         let most = if max_gaussians == 0 { usize::MAX } else { max_gaussians };
@@ -62,7 +62,8 @@ pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
     why.map_or(Ok(()), |why| Err(Error::Config(why)))
 }
 
-/// Returns the columns that the pruners request, each once; none if `prune_until` is 0, so that no pruner takes part.
+/// Returns the columns that the pruners request, each as the first of them specifies it; none if `prune_until` is 0, so that
+/// no pruner takes part.
 pub(crate) fn requested_columns(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
     if plan.training.prune_until > 0 {

@@ -8,8 +8,8 @@ use crate::loss::Objective;
 use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, title_of};
 use pwrfgs_core::{
-    Budget, CloudStats, Needs, Parameters, PassStatistics, Phase, PruneTarget, Pruner, Real, Result, RowOrigin,
-    Statistic, StepContext, best, prune_contexts,
+    Budget, CloudStats, Needs, Parameters, PassStatistics, PruneTarget, Pruner, Real, Result, RowOrigin, Statistic,
+    StepContext, best, prune_contexts,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -53,14 +53,13 @@ impl Trainer<'_> {
         let t = &self.plan.training;
         let pruning = PrunePhase { first: t.densify_until, last: t.prune_until, every: t.prune_every };
         let (phase, rounds) = (self.phase(step), pruning.rounds_until(t.prune_until));
-        let is_due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
         let passed = pruning.rounds_until(step);
-        let round = if is_due { passed } else { 0 };
+        let round = if passed > pruning.rounds_until(step.saturating_sub(1)) { passed } else { 0 };
         let target = self.goal.map(|goal| goal.target);
         StepContext { round, passed, rounds, target, ..StepContext::new(step, phase, self.plan.seed) }
     }
 
-    /// Runs a prune step: edits and votes of all pruners. Returns the Gaussians before the step; `None` if N did not fall.
+    /// Runs a prune step: edits and votes of all pruners. Returns Gaussians and IDs before it; `None` if N did not fall.
     ///
     /// # Errors
     /// Too few Gaussians are left, or a spectrum cannot be read for statistics.
@@ -143,13 +142,14 @@ impl Trainer<'_> {
         computed.into_iter().zip(pruners.iter().zip(&contexts)).map(complete).collect()
     }
 
-    /// Adds the `closed` masks of `before` Gaussians in one prune step to the count of the training.
+    /// Adds the `closed` masks of a prune step to those of the training, and stores the largest number of Gaussians `before`
+    /// such a step.
     pub(crate) fn count_masks(&mut self, closed: usize, before: usize) {
         let (sum, most) = self.masks.unwrap_or_default();
         self.masks = Some((sum + closed, most.max(before)));
     }
 
-    /// Keeps the rows with `true`.
+    /// Keeps the rows with `true` in all state per Gaussian.
     pub(crate) fn retain_rows(&mut self, keep: &[bool]) {
         edit::retain(keep, &mut self.per_gaussian());
     }

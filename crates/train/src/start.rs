@@ -19,7 +19,8 @@ impl<'a> Trainer<'a> {
     /// Creates a trainer with initial Gaussians and weights, before step 1.
     ///
     /// # Errors
-    /// Plan and data do not fit together, the training set is empty, or the initialiser lacks an input.
+    /// Plan and data do not fit together, the training set is empty, this program cannot run a pruner, or the initialiser
+    /// lacks an input.
     pub fn new(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         Self::begin(plan, data, partition, &|_, _| {}, &AtomicBool::new(false))
     }
@@ -75,7 +76,7 @@ impl<'a> Trainer<'a> {
     /// Checks the plan against the data, and creates the trainer without parameters.
     ///
     /// # Errors
-    /// Plan and data do not fit together, or the training set is empty.
+    /// Plan and data do not fit together, the training set is empty, or this program cannot run a pruner.
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let mut plan = plan.clone();
         check_available(&plan.pruners)?;
@@ -118,8 +119,9 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Replaces the Gaussians. Extra columns may be absent: with the same number of Gaussians, they keep their values,
-    /// otherwise they start anew. Moments, statistics and IDs also start anew if the number differs.
+    /// Replaces the Gaussians; means are metres from [`Self::origin`]. Extra columns may be absent: with the same number of
+    /// Gaussians, they keep their values, otherwise they start anew. Moments, statistics and IDs also start anew if the
+    /// number differs.
     ///
     /// # Errors
     /// [`Error::Config`] without Gaussians, for a number that is not finite, for an unknown column or another width, and

@@ -42,7 +42,7 @@ pub struct PruneStepState {
     pub gaussian_ids: Vec<u32>,
     /// Gates `[N]` of [`Trainer::gates`] before the removal.
     pub gates: Option<Vec<Real>>,
-    /// Number of this prune step, from 1, and number of all prune steps; 0 if densification prunes.
+    /// Number of this prune step, from 1, and number of all prune steps; 0 if masks are removed without a prune step.
     pub round: (u64, u64),
 }
 
@@ -213,18 +213,18 @@ impl Trainer<'_> {
         Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })
     }
 
-    /// Returns the pruners that act in a step.
+    /// Returns the pruners that act in a step: none in fine-tuning.
     pub(crate) fn pruners_of(&self, context: &StepContext) -> Vec<Plugin<dyn Pruner>> {
         if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() }
     }
 
-    /// Returns the update of each column of the cloud in a step; `None` for those that are not learned.
+    /// Returns the update of each column of the cloud in a step; `None` for those that are not learned, or have rate 0.
     pub(crate) fn column_updates(&self, step: u64) -> Vec<Option<AdamUpdate>> {
         let rates = Rates { training: &self.plan.training, step };
         self.cloud.columns().map(|(name, ..)| rates.column_update(&self.specs, name)).collect()
     }
 
-    /// Returns the updates of the learned weights in a step.
+    /// Returns the ranges of the learned weights with their updates in a step.
     pub(crate) fn weight_updates(&self, step: u64) -> Vec<(Range<usize>, AdamUpdate)> {
         let rates = Rates { training: &self.plan.training, step };
         self.groups.iter().map(|group| (group.range.clone(), rates.weight_update(group))).collect()
@@ -247,7 +247,7 @@ impl Trainer<'_> {
     }
 
     /// Changes state and number of the Gaussians as pruners and algorithm 1 prescribe. Returns the state before a removal by
-    /// pruners, `None` without one, or an error as [`Self::change_count`].
+    /// pruners, `None` without one, or an error as [`Self::change_cloud`].
     pub(crate) fn edit(
         &mut self,
         pruners: &[Plugin<dyn Pruner>],
@@ -256,7 +256,7 @@ impl Trainer<'_> {
         for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }
-        Ok(self.change_count(context)?.map(|(cloud, gaussian_ids)| {
+        Ok(self.change_cloud(context)?.map(|(cloud, gaussian_ids)| {
             let gates = self.gates_of(&cloud, context);
             PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
         }))
@@ -275,8 +275,8 @@ impl Trainer<'_> {
         self.model_of(self.cloud.clone())
     }
 
-    /// Returns the model to validate: the current one, but in the step of an opacity reset that before the reset, whose
-    /// scores would be those of nearly transparent Gaussians.
+    /// Returns the model to validate: the current one, or if the last step reset opacities, the one before the reset. The
+    /// scores after a reset are those of nearly transparent Gaussians.
     pub fn validated_model(&self) -> Model {
         let mut cloud = self.cloud.clone();
         if let Some(logits) = &self.before_reset {
@@ -327,11 +327,12 @@ impl Trainer<'_> {
         is_due || step == settings.prune_until
     }
 
-    /// Changes N as algorithm 1 prescribes. Returns the Gaussians before a removal by pruners; `None` without one.
+    /// Densifies, resets opacities, prunes or removes masks as algorithm 1 prescribes. Returns Gaussians and IDs before a
+    /// removal by pruners; `None` without one.
     ///
     /// # Errors
     /// Too few Gaussians are left, or a spectrum cannot be read for statistics.
-    fn change_count(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
+    fn change_cloud(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         if !self.is_change_due(context) {
             return Ok(None);
         }
@@ -349,7 +350,8 @@ impl Trainer<'_> {
         Ok(unpruned)
     }
 
-    /// Densifies and resets opacities after `step`, if due. Returns an error if too few Gaussians are left.
+    /// Densifies and resets opacities after `step`, if due; no reset ends the phase. Returns an error if too few Gaussians
+    /// are left.
     fn densify(&mut self, step: u64) -> Result<()> {
         let training = self.plan.training.clone();
         let settings = &training.densify;

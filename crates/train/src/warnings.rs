@@ -7,7 +7,8 @@ use pwrfgs_core::plugin::title_of;
 use pwrfgs_core::{AdamUpdate, Error, ImagePlane, Real, Result};
 
 impl Trainer<'_> {
-    /// Returns one sentence per setting that has no effect, or too few pixels, with the initial Gaussians.
+    /// Returns warnings about the initial Gaussians: a target that removes none, masks that cannot close, sizes above the limit
+    /// of densification, and too few trained pixels.
     pub fn warnings(&self) -> Vec<String> {
         let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask_warning(k));
         let others = [self.oversized_warning(), self.skipped_pixels_warning()];
@@ -47,7 +48,7 @@ impl Trainer<'_> {
     }
 
     /// Returns a warning about a mask of pruner `k` that cannot fall from its initial value to its threshold before
-    /// pruning ends; `None` if it can, or a target decides.
+    /// pruning ends; `None` if it can, if the time is unknown, or if a target decides.
     fn slow_mask_warning(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
         let (needed, until) = (pruner.steps_to_close(AdamUpdate::BETAS)?, training.prune_until);
@@ -61,7 +62,7 @@ impl Trainer<'_> {
     }
 
     /// Returns a warning that the first size check of densification removes most Gaussians unless splits shrink them
-    /// before; `None` if at most half are too large.
+    /// before; `None` if at most half are too large, or no size is checked.
     fn oversized_warning(&self) -> Option<String> {
         let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
@@ -81,7 +82,7 @@ impl Trainer<'_> {
                 "`max_gaussians` ({most}) stops the splits that would shrink them; raise `extent_m` or `max_gaussians`"
             )
         } else {
-            // s23, 2,000 random Gaussians as dense as 200,000 at a spread of 20 m (docs/lab/paper.md).
+            // Three quarters shrank on s23, with 2,000 random Gaussians as dense as 200,000 at a spread of 20 m.
             let events = (step - 1).saturating_sub(settings.from) / settings.every.max(1);
             let shrunk = (3 * large / 4).min(SPLITS_PER_EVENT * events as usize);
             format!("about {shrunk} usually shrink in time; start with smaller Gaussians, or raise `extent_m`")
@@ -176,7 +177,7 @@ impl Trainer<'_> {
     }
 }
 
-/// Splits per densification on s23, from 2,000 to 5,000 Gaussians.
+/// Splits per densification on s23, from 2,000 to 5,000 Gaussians (`docs/lab/paper.md`).
 const SPLITS_PER_EVENT: usize = 1_000;
 
 /// Returns whether a step leaves less than a twentieth of `before` Gaussians, or one of several.
