@@ -33,7 +33,7 @@ fn step_ms(network: &str, n: usize, steps: usize) -> Result<f64> {
     let (mut times, begun) = (Vec::new(), Instant::now());
     while times.len() < steps && (times.is_empty() || begun.elapsed().as_secs_f64() < SECONDS) {
         let (step, most) = (Instant::now(), if times.is_empty() { 1 } else { (steps - times.len()).min(50) as u64 });
-        let done = trainer.steps(most)?.len();
+        let done = trainer.run_steps(most)?.len();
         let milliseconds = 1e3 * step.elapsed().as_secs_f64() / done as f64;
         times.extend(std::iter::repeat_n(milliseconds, done));
     }

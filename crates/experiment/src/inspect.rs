@@ -97,7 +97,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
         step_bytes: trainer.step_bytes(),
-        time: run_stage(observer, "timing a few steps", |_| trainer.time())?,
+        time: run_stage(observer, "timing a few steps", |_| trainer.estimate_time())?,
         load: load_before,
         loaded_bytes,
         free_bytes: free_memory(),

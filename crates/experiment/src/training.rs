@@ -191,7 +191,7 @@ impl Training<'_, '_, '_> {
     fn step(&mut self) -> Result<()> {
         let begun = Instant::now();
         let most = self.at_once.min(self.steps_to_record());
-        let reports = self.trainer.steps(most).inspect_err(|_| self.report_last_checkpoint())?;
+        let reports = self.trainer.run_steps(most).inspect_err(|_| self.report_last_checkpoint())?;
         let seconds = begun.elapsed().as_secs_f64();
         let done = reports.len() as u64; // 1 on the CPU
         self.at_once = if seconds < SECONDS_AT_ONCE { self.at_once.max(2 * done) } else { done.div_ceil(2) };

@@ -17,7 +17,7 @@ impl Trainer<'_> {
     ///
     /// # Errors
     /// As [`Self::step`].
-    pub fn steps(&mut self, most: u64) -> Result<Vec<StepReport>> {
+    pub fn run_steps(&mut self, most: u64) -> Result<Vec<StepReport>> {
         // Runs on a thread of the pool, so that parallel loops need not enter it again.
         rayon::scope(|_| match self.run_on_device(most)? {
             Some(reports) => Ok(reports),

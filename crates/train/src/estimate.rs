@@ -116,7 +116,7 @@ impl Trainer<'_> {
     ///
     /// # Errors
     /// As [`Self::step`].
-    pub fn time(mut self) -> Result<TimeEstimate> {
+    pub fn estimate_time(mut self) -> Result<TimeEstimate> {
         let search_seconds = self.search_seconds()?;
         let t = Training::clone(&self.plan.training);
         let n = self.cloud.len();
@@ -196,7 +196,7 @@ impl Trainer<'_> {
         while seconds.len() <= TIMED && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
             let called = Instant::now();
             // A device that keeps the parameters runs several steps at once.
-            let steps = self.steps(if seconds.is_empty() { 1 } else { 10 })?.len();
+            let steps = self.run_steps(if seconds.is_empty() { 1 } else { 10 })?.len();
             seconds.push(called.elapsed().as_secs_f64() / steps as f64);
             if begun.elapsed() > 4 * PATIENCE {
                 break;

@@ -192,7 +192,7 @@ impl Trainer<'_> {
     /// [`Error::NonFinite`] with step and tensor, [`Error::Collapsed`] if a removal leaves too few Gaussians,
     /// [`Error::Device`] of the GPU, [`Error::Read`] of a spectrum. The trainer cannot be used afterwards.
     pub fn step(&mut self) -> Result<StepReport> {
-        Ok(self.steps(1)?.remove(0))
+        Ok(self.run_steps(1)?.remove(0))
     }
 
     /// Runs one step on the calling thread and those of its pool: batch, [`Stepper`], edit. Errors are those of

@@ -29,7 +29,7 @@ pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> R
     Ok(runs)
 }
 
-/// Estimates the seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]);
+/// Estimates the seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::estimate_time`]);
 /// densification makes later steps slower. A run that has begun takes the rest, and a finished one none. If another seed has
 /// finished, its time is used. NaN, with a warning, if the steps fail.
 ///
@@ -98,7 +98,7 @@ fn initialise_unfinished(
     let geometric_mean = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
     let tried = initialise_each(plan, &representatives(plan, open), observer, |run, trainer| {
         let (combination, warnings) = (plan.runs[run].combination, trainer.warnings());
-        let time = is_timed(combination).then(|| trainer.time());
+        let time = is_timed(combination).then(|| trainer.estimate_time());
         Ok((run, warnings, time))
     })?;
     let mut seconds = BTreeMap::new();
