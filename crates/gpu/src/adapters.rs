@@ -85,8 +85,8 @@ pub(crate) fn adapters() -> Vec<Adapter> {
     adapters
 }
 
-/// Describes an adapter as a line of the list.
-fn describe_adapter(adapter: &Adapter) -> GpuLine {
+/// Creates the line of an adapter in the list of GPUs.
+fn create_line(adapter: &Adapter) -> GpuLine {
     let info = adapter.get_info();
     let backend = format!("{:?}", info.backend);
     let driver = if info.driver_info.is_empty() { &info.driver } else { &info.driver_info };
@@ -97,7 +97,7 @@ fn describe_adapter(adapter: &Adapter) -> GpuLine {
 
 /// Returns the GPUs of the machine; their numbers are their indices.
 pub fn list() -> Vec<GpuLine> {
-    adapters().iter().map(describe_adapter).collect()
+    adapters().iter().map(create_line).collect()
 }
 
 static CURRENT: OnceLock<Gpu> = OnceLock::new();
@@ -118,7 +118,7 @@ pub fn for_tests() -> Option<&'static Gpu> {
     gpu.as_ref()
 }
 
-/// Selects a GPU for the process, or leaves it to the CPU.
+/// Selects a GPU for the process; the CPU if `choice` is the CPU, or is automatic and there is no GPU.
 ///
 /// # Errors
 /// [`Error::Config`] if there is no such GPU, or it is a software adapter and `PWRFGS_DEVICE_SOFTWARE` is not 1, or the process
@@ -135,7 +135,7 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
     }
     let adapters = adapters();
     let admits_software = std::env::var_os(SOFTWARE).is_some_and(|value| value == "1");
-    let lines: Vec<GpuLine> = adapters.iter().map(describe_adapter).collect();
+    let lines: Vec<GpuLine> = adapters.iter().map(create_line).collect();
     let index = match pick(choice, &lines, admits_software) {
         Ok(Some(index)) => index,
         Ok(None) => return Ok(()),
@@ -153,9 +153,10 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
     Ok(())
 }
 
-/// Returns the index of the chosen GPU in the list; `None` for the CPU. The error says why there is no such GPU.
+/// Returns the index of the chosen GPU in `lines`; `None` for the CPU, also if the choice is automatic and no GPU is usable.
+/// The error says why there is no such GPU.
 pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: bool) -> Result<Option<usize>, String> {
-    let software = |name: &str| {
+    let only_software = |name: &str| {
         let short = name.split(" (").next().unwrap_or(name);
         format!("only {short}, a software GPU slower than the CPU, was found")
     };
@@ -166,7 +167,7 @@ pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: boo
         DeviceChoice::Auto => Ok(first),
         DeviceChoice::Gpu => match (first, lines.first()) {
             (Some(first), _) => Ok(Some(first)),
-            (None, Some(line)) => Err(software(&line.name)),
+            (None, Some(line)) => Err(only_software(&line.name)),
             (None, None) => {
                 Err("no GPU found (Vulkan, Metal, DX12); install a driver, on a cluster set VK_DRIVER_FILES, or \
                                  leave --device out"
@@ -188,7 +189,7 @@ pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: boo
     }
 }
 
-/// Keeps the reason of a failure, if it is the first.
+/// Keeps the reason `why` of a failure, if it is the first since the last check.
 pub(crate) fn keep_first(failure: &Mutex<Option<String>>, why: String) {
     failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
 }
@@ -249,7 +250,8 @@ fn compile_kernels(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> Vec
 }
 
 impl Gpu {
-    /// Opens an adapter and compiles the kernels; the error is that of the driver.
+    /// Opens an adapter and compiles the kernels; the error is that of the driver. Reads [`MEMORY`], and ignores text that is no
+    /// number.
     pub(crate) fn open(adapter: &Adapter) -> Result<Self, String> {
         let limits = adapter.limits();
         let request = wgpu::DeviceDescriptor { required_limits: limits.clone(), ..Default::default() };
@@ -259,7 +261,7 @@ impl Gpu {
         let kernels = compile_kernels(&device, &layout);
         let most_bytes = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
         let [workspace, drawings, training] = [(); 3].map(|()| Mutex::default());
-        let name = describe_adapter(adapter).name;
+        let name = create_line(adapter).name;
         let megabytes = std::env::var(MEMORY).ok().and_then(|text| text.parse::<u64>().ok());
         let memory = megabytes.map_or(u64::MAX, |megabytes| megabytes << 20);
         Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, drawings, training, failure, name })
@@ -270,8 +272,8 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns the number of rows per chunk, if a row has up to `width` numbers: so many that a buffer of the chunk fits the
-    /// GPU, but at least 1,024 and at most 65,536.
+    /// Returns the number of rows per chunk, if a row has up to `width` numbers: a multiple of [`SLICE`] up to 65,536. A buffer
+    /// of the chunk fits the GPU if [`SLICE`] rows do.
     pub fn chunk_rows(&self, width: usize) -> usize {
         let rows = self.most_bytes as usize / (size_of::<f32>() * width.max(1)) / SLICE * SLICE;
         rows.clamp(SLICE, MOST_ROWS)

@@ -33,6 +33,7 @@ pub const D_IMAGE: usize = 7;
 /// Slot of the cotangents of the blended signals, and their products with the pixels, `[links, 3, H·W]`; before them of
 /// means along rows for SSIM, `[links, 4, H·W]`.
 pub const D_PIXELS: usize = 8;
+/// Slot [`D_PIXELS`] during the loss.
 const MOMENTS: usize = D_PIXELS;
 /// Slot of the offsets of the tile lists `[tiles + 1]`; the lists follow.
 pub const LISTS: usize = 9;
@@ -52,7 +53,8 @@ pub const LOSS: usize = 15;
 /// Slot of the sums of errors and of 1 - similarity over pixels, `[links, 2]`.
 pub const LOSSES: usize = 16;
 
-/// Values per Gaussian in slots [`CLOUD`], [`TERMS`], [`SPLATS`] and [`D_ROWS`].
+/// Values per Gaussian in slots [`CLOUD`], [`TERMS`], [`SPLATS`] and [`D_ROWS`]. The kernels repeat these and the following
+/// numbers.
 pub const WIDTHS: [usize; 4] = [13, 7, 12, 20];
 /// Values per Gaussian in slot [`D_SPLATS`] before those of the signals.
 pub const GEOMETRY: usize = 8;
@@ -112,7 +114,7 @@ impl Drawing {
         self.size.0 * self.size.1
     }
 
-    /// Returns the number of tiles.
+    /// Returns the number of tiles of an image.
     pub fn tiles(&self) -> usize {
         self.size.0.div_ceil(SIDE) * self.size.1.div_ceil(SIDE)
     }
@@ -122,8 +124,8 @@ impl Drawing {
         GEOMETRY + self.links * self.channels
     }
 
-    /// Returns the sizes of all slots, for a backward pass with at least `entries` entries of the tile lists; `None` for a
-    /// drawing alone.
+    /// Returns the sizes of all slots in their order, for a backward pass with at least `entries` entries of the tile lists;
+    /// `None` for a drawing alone.
     pub fn sizes(&self, entries: Option<usize>) -> Vec<usize> {
         let &Self { gaussians: n, links, channels, .. } = self;
         let [cloud, terms, splats, rows] = WIDTHS.map(|width| n * width);
@@ -132,8 +134,8 @@ impl Drawing {
         sizes.resize(LOSSES + 1, 1);
         if let Some(entries) = entries {
             let entries = entries.next_power_of_two(); // lists differ from step to step
-            let (lists, splats) = (self.tiles() + 1 + entries, n * self.derivatives());
-            sizes[D_IMAGE..TRUTHS].copy_from_slice(&[images, 4 * images, lists, PART * entries, splats, rows]);
+            let (lists, d_splats) = (self.tiles() + 1 + entries, n * self.derivatives());
+            sizes[D_IMAGE..TRUTHS].copy_from_slice(&[images, 4 * images, lists, PART * entries, d_splats, rows]);
             sizes[TRUTHS..].copy_from_slice(&[images, 4 * images, LOSS_LEN, 2 * links]);
         }
         sizes
@@ -142,7 +144,7 @@ impl Drawing {
     /// Returns the number of entries of tile lists with these `lengths`.
     ///
     /// # Errors
-    /// [`Error::Config`] if kernels cannot count them.
+    /// [`Error::Config`] if there are more than 2²⁴, which kernels cannot count.
     pub fn entry_count(lengths: &[Real]) -> Result<usize> {
         let entries: f64 = lengths.iter().map(|&length| f64::from(length)).sum();
         if entries <= MOST_ENTRIES {
@@ -153,6 +155,7 @@ impl Drawing {
     }
 
     /// Returns the arguments of a kernel in the order of `Op` of `common.wgsl`; `link` is the transmitter of a backward pass.
+    /// The meaning of `mode` differs by kernel.
     fn arguments(&self, link: usize, mode: usize) -> [usize; ARGUMENTS] {
         let &Self { gaussians, links, size: (width, height), channels, .. } = self;
         let columns = width.div_ceil(SIDE);
@@ -162,7 +165,7 @@ impl Drawing {
     /// Records activation and projection, from slots [`CLOUD`], [`VIEW`] and [`TERMS`] to [`SPLATS`].
     pub fn project(&self, step: &mut GpuStep<'_>) {
         let arguments = self.arguments(0, usize::from(self.has_terms));
-        step.pass("project", [CLOUD, TERMS, VIEW, CLOUD, SPLATS], arguments, self.per_gaussian());
+        step.pass("project", [CLOUD, TERMS, VIEW, CLOUD, SPLATS], arguments, self.gaussian_groups());
     }
 
     /// Records the blending of [`SPLATS`] with [`SIGNALS`], to [`PIXELS`].
@@ -198,7 +201,8 @@ impl Drawing {
         step.pass("sum_loss", [IMAGE, TRUTHS, LOSS, D_SIMILARITY, LOSSES], arguments, [self.links, 1, 1]);
     }
 
-    /// Records the backward pass of [`Self::blend`], from [`D_PIXELS`] to [`D_SPLATS`].
+    /// Records the backward pass of [`Self::blend`], from [`D_PIXELS`] to [`D_SPLATS`]. Its results are not valid if the tile
+    /// lists have more entries than [`Self::sizes`] was given.
     pub fn blend_vjp(&self, step: &mut GpuStep<'_>) {
         step.clear(D_SPLATS, self.gaussians * self.derivatives());
         let tiles = [if self.gaussians > 0 { self.tiles() } else { 0 }, 1, 1];
@@ -207,32 +211,32 @@ impl Drawing {
         for link in 0..self.links {
             let arguments = self.arguments(link, 0);
             step.pass("blend_vjp", [SPLATS, SIGNALS, LISTS, D_PIXELS, PARTS], arguments, tiles);
-            step.pass("sum_tiles", [SPLATS, LISTS, PARTS, SPLATS, D_SPLATS], arguments, self.per_gaussian());
+            step.pass("sum_tiles", [SPLATS, LISTS, PARTS, SPLATS, D_SPLATS], arguments, self.gaussian_groups());
         }
     }
 
     /// Records the backward pass of [`Self::project`], from [`D_SPLATS`] to [`D_ROWS`].
     pub fn project_vjp(&self, step: &mut GpuStep<'_>) {
         let arguments = self.arguments(0, usize::from(self.has_terms));
-        step.pass("project_vjp", [CLOUD, TERMS, VIEW, D_SPLATS, D_ROWS], arguments, self.per_gaussian());
+        step.pass("project_vjp", [CLOUD, TERMS, VIEW, D_SPLATS, D_ROWS], arguments, self.gaussian_groups());
     }
 
-    /// Returns the workgroups of a kernel per Gaussian.
-    fn per_gaussian(&self) -> [usize; 3] {
+    /// Returns the workgroups of a kernel with an invocation per Gaussian.
+    fn gaussian_groups(&self) -> [usize; 3] {
         [self.gaussians.div_ceil(GAUSSIAN_LANES), 1, 1]
     }
 }
 
 impl Gpu {
-    /// Returns the number of entries of tile lists that the buffers of drawings hold.
+    /// Returns the number of entries of tile lists that the buffers of drawings hold, at least 4,096.
     pub fn list_entries(&self) -> usize {
-        entries_of(&self.drawings, 0)
+        list_capacity(&self.drawings, 0)
     }
 
-    /// Returns the number of entries of tile lists that the buffers of whole training steps hold, whose drawing has this first
-    /// slot.
+    /// Returns the same as [`Self::list_entries`] for the buffers of whole training steps; `drawing` is the first slot of their
+    /// drawing.
     pub fn resident_list_entries(&self, drawing: usize) -> usize {
-        entries_of(&self.training, drawing)
+        list_capacity(&self.training, drawing)
     }
 
     /// Begins a step that draws, with buffers of at least `sizes` numbers by slot. The buffers are not those of networks.
@@ -244,8 +248,9 @@ impl Gpu {
     }
 }
 
-/// Returns the number of entries of tile lists that buffers hold, for a drawing with this first slot.
-fn entries_of(workspace: &Mutex<Workspace>, first: usize) -> usize {
+/// Returns the number of entries of tile lists that buffers hold, at least [`FIRST_ENTRIES`], for a drawing with the `first`
+/// slot.
+fn list_capacity(workspace: &Mutex<Workspace>, first: usize) -> usize {
     let workspace = workspace.lock().unwrap_or_else(PoisonError::into_inner);
     let bytes = workspace.buffers.get(first + PARTS).map_or(0, |buffer| buffer.size() as usize);
     (bytes / (size_of::<f32>() * PART)).max(FIRST_ENTRIES)

@@ -9,12 +9,12 @@ use wgpu::{Buffer, BufferUsages};
 pub struct KeptBuffer(Buffer);
 
 impl Gpu {
-    /// Returns a buffer for `len` numbers; `None` if the memory of the GPU does not suffice.
-    pub fn keep(&self, len: usize) -> Option<KeptBuffer> {
+    /// Creates a buffer for `len` numbers; `None` if the memory of the GPU does not suffice.
+    pub fn create_kept_buffer(&self, len: usize) -> Option<KeptBuffer> {
         let bytes = bytes_of(len.max(1));
         let fits = bytes <= self.most_bytes.min(self.memory);
         let usage = BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
-        fits.then(|| self.buffer(bytes, usage).ok()).flatten().map(KeptBuffer)
+        fits.then(|| self.create_buffer(bytes, usage).ok()).flatten().map(KeptBuffer)
     }
 }
 
@@ -29,7 +29,7 @@ impl GpuStep<'_> {
         self.copy(kept.0.clone(), self.buffer_of(slot), len);
     }
 
-    /// Records a copy of the first `len` numbers.
+    /// Records a copy of the first `len` numbers of a buffer.
     fn copy(&mut self, from: Buffer, to: Buffer, len: usize) {
         self.record(Command::Copy { from: (from, 0), to, bytes: bytes_of(len) });
     }

@@ -31,6 +31,7 @@ const PITCH: u32 = 17u; // vectors from one term to the next in workgroup memory
 var<workgroup> tile_a: array<vec4f, 272>;
 var<workgroup> tile_b: array<vec4f, 272>;
 
+// Numbers of A and B; 0 outside the matrix, and from term `end` on.
 fn load_a(row: u32, k: u32, end: u32) -> f32 {
   let at = s.a + min(row, s.m - 1u) * s.a0 + min(k, s.k - 1u) * s.a1;
   return select(0.0, A[at], row < s.m && k < end);
@@ -41,6 +42,7 @@ fn load_b(k: u32, column: u32, end: u32) -> f32 {
   return select(0.0, B[at], column < s.n && k < end);
 }
 
+// Stores a number of C with the operations of `mode`; nothing outside the matrix.
 fn store(row: u32, column: u32, plane: u32, sum: f32) {
   if (row >= s.m || column >= s.n) { return; }
   var v = sum;
@@ -54,6 +56,7 @@ fn store(row: u32, column: u32, plane: u32, sum: f32) {
   C[at] = v;
 }
 
+// Stores four numbers of neighbouring columns.
 fn store4(row: u32, column: u32, plane: u32, sums: vec4f) {
   store(row, column, plane, sums.x);
   store(row, column + 1u, plane, sums.y);
@@ -142,7 +145,8 @@ fn add(@builtin(global_invocation_id) g: vec3u, @builtin(num_workgroups) w: vec3
 }
 
 // Backward pass of S·A = |lrelu(A)|·|lrelu(B)| for n rows, with the cotangents E: C is [3, n]. Its first row becomes the
-// cotangent before |lrelu| of A; that of B is added to the second row, and E·S·A to the third.
+// cotangent before |lrelu| of A; that of B is added to the second row, and E·S·A to the third. The slope 0.01 is that of
+// `dense.rs`.
 fn amplitude(z: f32) -> f32 { return select(z, -0.01 * z, z < 0.0); }
 fn slope(z: f32) -> f32 { return select(select(0.0, -0.01, z < 0.0), 1.0, z > 0.0); }
 @compute @workgroup_size(256)

@@ -44,7 +44,8 @@ impl Op {
 }
 
 impl GpuStep<'_> {
-    /// Computes the product C = A·B, `[m, n]` with `k` terms, and its `epilogue`.
+    /// Computes the product C = A·B, `[m, n]` with `k` terms, and its `epilogue`; `shape` is (m, n, k). Rows of C are
+    /// contiguous.
     pub fn product(&mut self, shape: (usize, usize, usize), a: Block, b: Block, c: Block, epilogue: Epilogue) {
         let (m, n, k) = shape;
         let Epilogue { plus, bias, relu, mask, add } = epilogue;
@@ -60,7 +61,7 @@ impl GpuStep<'_> {
     }
 
     /// Adds the product A·B over `rows` rows to C `[m, n]`: A is `[m, rows]`, B `[rows, n]`. Sums slices of [`SLICE`]
-    /// rows, then adds them in order.
+    /// rows, then adds them in order. Rows of C are contiguous.
     pub fn add_gradient(&mut self, (m, n): (usize, usize), rows: usize, a: Block, b: Block, c: Block) {
         let slices = rows.div_ceil(SLICE);
         [(a, (m, rows)), (b, (rows, n)), (c, (m, n))].into_iter().for_each(|(block, shape)| self.check(block, shape));
@@ -79,7 +80,8 @@ impl GpuStep<'_> {
         self.pass("sum_planes", [SCRATCH, SCRATCH, SCRATCH, SCRATCH, c.slot], op.numbers(), [groups, 1, 1]);
     }
 
-    /// Adds the sums over the rows of a chunk A `[features, rows]` to `features` numbers of C; both are slot and offset.
+    /// Adds the sums over the rows of a chunk A `[features, rows]` to `features` numbers of C; both are slot and offset. A pass
+    /// has at most 65,535 features, one workgroup each.
     pub fn add_row_sums(&mut self, (features, rows): (usize, usize), (a, start): (usize, usize), c: (usize, usize)) {
         let (slices, sums) = (rows.div_ceil(SLICE), Block::new(c.0, c.1, features));
         self.check(Block::new(a, start, rows), (features, rows));
@@ -104,7 +106,8 @@ impl GpuStep<'_> {
     }
 
     /// Runs the backward pass of |lrelu(A)|·|lrelu(B)| for `rows` rows, given the cotangents in slot `d`. In slot `c`
-    /// `[3, rows]` it sets the cotangents of A, then adds those of B, and the products of value and cotangent.
+    /// `[3, rows]` it sets the first row to the cotangents of A, and adds those of B to the second and value times cotangent to
+    /// the third.
     pub fn amplitudes_vjp(&mut self, rows: usize, [a, b, d, c]: [usize; 4]) {
         let op = Op { m: 1, n: rows, ..Op::default() };
         self.pass("amplitudes_vjp", [a, b, a, d, c], op.numbers(), groups_of_256(rows));

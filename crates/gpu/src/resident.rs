@@ -37,8 +37,9 @@ const OUTPUTS: usize = 9;
 const COLUMNS: usize = 13;
 /// Number of keys that a workgroup sorts.
 const SORTED: usize = 512;
-/// Invocations per workgroup of the kernels per Gaussian.
+/// Invocations per workgroup of the kernels per Gaussian, and per key or pair of keys.
 const LANES: usize = 64;
+const KEY_LANES: usize = 256;
 
 /// Arguments of a kernel: `Op` of `resident.wgsl`.
 #[derive(Clone, Copy, Default)]
@@ -52,7 +53,7 @@ struct Op {
 }
 
 impl Op {
-    /// Returns the numbers in the order of `resident.wgsl`.
+    /// Returns the numbers in the order of `resident.wgsl`, those of `x` as their bits.
     fn numbers(self) -> [usize; ARGUMENTS] {
         let Self { n, a, c, k, j, x } = self;
         let mut all = [0; ARGUMENTS];
@@ -76,7 +77,7 @@ pub struct Resident {
 }
 
 impl Resident {
-    /// Returns the sizes of the slots of the state, for so many `inputs`.
+    /// Returns the sizes of the slots of the state, from [`STATE`] to [`INPUTS`], for so many `inputs`.
     pub fn sizes(&self, inputs: usize) -> Vec<usize> {
         let (n, parameters) = (self.gaussians, self.parameters());
         vec![3 * parameters, parameters, 4 * n, 2 * self.keys(), OUTPUTS * n, OUTPUTS * n, inputs]
@@ -87,40 +88,41 @@ impl Resident {
         COLUMNS * self.gaussians
     }
 
-    /// Returns the number of keys: a power of two.
+    /// Returns the number of keys: a power of two from [`SORTED`] on.
     fn keys(&self) -> usize {
         self.gaussians.next_power_of_two().max(SORTED)
     }
 
-    /// Returns a slot of the state.
+    /// Returns the slot in the step, given one of the state such as [`STATE`].
     pub fn slot(&self, slot: usize) -> usize {
         self.state + slot
     }
 
-    /// Records a kernel per Gaussian, with slots A, H, E and C; B are the keys.
-    fn per_row(&self, step: &mut GpuStep<'_>, name: &str, [a, h, e, c]: [usize; 4], x: [Real; 3]) {
+    /// Records a kernel with an invocation per Gaussian, slots A, H, E and C, and first constants `x`; B are the keys.
+    fn record_per_gaussian(&self, step: &mut GpuStep<'_>, name: &str, [a, h, e, c]: [usize; 4], x: [Real; 3]) {
         let mut op = Op { n: self.gaussians, k: self.keys(), j: self.channels, ..Op::default() };
         op.x[..3].copy_from_slice(&x);
         let groups = [self.gaussians.div_ceil(LANES), 1, 1];
         step.pass(name, [a, self.slot(KEYS), h, e, c], op.numbers(), groups);
     }
 
-    /// Sorts the Gaussians by their distance from `position`.
+    /// Sorts the Gaussians by their distance from `position`, nearest first, ties by index: a bitonic sort of the keys. Blocks
+    /// of up to 512 keys are sorted at once; exchanges over longer distances take a pass each.
     pub fn sort(&self, step: &mut GpuStep<'_>, position: [Real; 3]) {
         let (keys, slot, means) = (self.keys(), self.slot(KEYS), self.slot(STATE));
         let mut op = Op { n: self.gaussians, k: keys, ..Op::default() };
         op.x[..3].copy_from_slice(&position);
-        step.pass("depth_keys", [means, means, means, means, slot], op.numbers(), [keys.div_ceil(256), 1, 1]);
+        step.pass("depth_keys", [means, means, means, means, slot], op.numbers(), [keys.div_ceil(KEY_LANES), 1, 1]);
         let mut pass = |name: &str, op: Op, groups: usize| {
             step.pass(name, [means, means, means, means, slot], op.numbers(), [groups, 1, 1]);
         };
         let op = Op { k: keys, ..Op::default() };
-        pass("sort_block", Op { j: 2, a: SORTED, ..op }, keys / SORTED);
+        pass("sort_block", Op { j: 2, a: SORTED, ..op }, keys / SORTED); // blocks of 2 to 512
         let mut block = 2 * SORTED;
         while block <= keys {
             let mut distance = block / 2;
             while distance >= SORTED {
-                pass("sort_pairs", Op { j: distance, a: block, ..op }, (keys / 2).div_ceil(256));
+                pass("sort_pairs", Op { j: distance, a: block, ..op }, (keys / 2).div_ceil(KEY_LANES));
                 distance /= 2;
             }
             pass("sort_block", Op { j: block, a: block, ..op }, keys / SORTED);
@@ -132,25 +134,25 @@ impl Resident {
     pub fn arrange_cloud(&self, step: &mut GpuStep<'_>) {
         let state = self.slot(STATE);
         let slots = [state, state, state, self.drawing + CLOUD];
-        self.per_row(step, "arrange_cloud", slots, [0.0; 3]);
+        self.record_per_gaussian(step, "arrange_cloud", slots, [0.0; 3]);
     }
 
     /// Writes the outputs of the network to the drawing in depth order.
     pub fn arrange_heads(&self, step: &mut GpuStep<'_>) {
         let (heads, state) = (self.slot(HEADS), self.slot(STATE));
-        self.per_row(step, "arrange_terms", [heads, heads, heads, self.drawing + TERMS], [0.0; 3]);
-        self.per_row(step, "arrange_signals", [heads, state, heads, self.drawing + SIGNALS], [0.0; 3]);
+        self.record_per_gaussian(step, "arrange_terms", [heads, heads, heads, self.drawing + TERMS], [0.0; 3]);
+        self.record_per_gaussian(step, "arrange_signals", [heads, state, heads, self.drawing + SIGNALS], [0.0; 3]);
     }
 
     /// Adds the derivatives of the drawing to those of the Gaussians, sets those of the outputs of the network, and adds to the
-    /// statistics, for an image of this `size` and `drawings` of them in the step.
+    /// statistics. `size` is that of the image, `drawings` the number of drawings of the step.
     pub fn scatter(&self, step: &mut GpuStep<'_>, size: (usize, usize), drawings: usize) {
         let (rows, splats) = (self.drawing + D_ROWS, self.drawing + D_SPLATS);
-        self.per_row(step, "scatter_cloud", [rows, splats, rows, self.slot(D_STATE)], [0.0; 3]);
-        self.per_row(step, "scatter_terms", [rows, splats, rows, self.slot(D_HEADS)], [0.0; 3]);
+        self.record_per_gaussian(step, "scatter_cloud", [rows, splats, rows, self.slot(D_STATE)], [0.0; 3]);
+        self.record_per_gaussian(step, "scatter_terms", [rows, splats, rows, self.slot(D_HEADS)], [0.0; 3]);
         let [width, height, drawings] = [size.0, size.1, drawings].map(|number| number as Real);
         let scales = [0.5 * width, 0.5 * height, drawings];
-        self.per_row(step, "statistics", [rows, splats, self.drawing + SPLATS, self.slot(STATS)], scales);
+        self.record_per_gaussian(step, "statistics", [rows, splats, self.drawing + SPLATS, self.slot(STATS)], scales);
     }
 }
 
@@ -165,6 +167,7 @@ impl GpuStep<'_> {
     pub fn adam(&mut self, (state, parameters): (usize, usize), d: usize, range: Range<usize>, update: &AdamUpdate) {
         let &AdamUpdate { rate, eps, unbias, l2, decay } = update;
         let ([unbias1, unbias2], [beta1, beta2]) = (unbias, AdamUpdate::BETAS);
+        // The order of `adam` in `resident.wgsl`.
         let x = [rate, eps, unbias1, unbias2, l2, decay, beta1, beta2, AdamUpdate::NEGLIGIBLE];
         let op = Op { n: range.len(), a: range.start, c: range.start, k: parameters, x, ..Op::default() };
         self.pass("adam", [d, d, d, d, state], op.numbers(), groups_of_256(range.len()));

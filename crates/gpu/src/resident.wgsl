@@ -84,6 +84,7 @@ fn sort_block(@builtin(local_invocation_index) l: u32, @builtin(workgroup_id) w:
   for (var i = l; i < 512u; i += 256u) { C[first + i] = sorted[i].x; C[s.k + first + i] = sorted[i].y; }
 }
 
+// The index of the Gaussian in a row of a drawing.
 fn gaussian_of(row: u32) -> u32 { return u32(B[s.k + row]); }
 
 // C is the cloud of a drawing [n, 13] from the parameters A.

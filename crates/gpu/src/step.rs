@@ -43,18 +43,22 @@ pub struct GpuStep<'g> {
     bytes: u64,
 }
 
-/// Returns the bytes of single-precision numbers.
+/// Returns the size of single-precision numbers, bytes.
 pub(crate) fn bytes_of(numbers: usize) -> u64 {
     (size_of::<f32>() * numbers) as u64
 }
 
-/// Returns a number of bytes as text.
+/// Returns a number of bytes as text, in multiples of 2²⁰ or 2³⁰ bytes.
 fn describe_bytes(bytes: u64) -> String {
-    if bytes < 1 << 30 { format!("{} MB", bytes.div_ceil(1 << 20)) } else { format!("{:.1} GB", bytes as f64 / 1e9) }
+    if bytes < 1 << 30 {
+        format!("{} MB", bytes.div_ceil(1 << 20))
+    } else {
+        format!("{:.1} GB", bytes as f64 / f64::from(1 << 30))
+    }
 }
 
 impl Gpu {
-    /// Begins a step with buffers of at least `sizes` numbers by slot.
+    /// Begins a step of networks with buffers of at least `sizes` numbers by slot, once no other step holds them.
     ///
     /// # Errors
     /// [`Error::Config`] if the memory of the GPU does not suffice, before any work is done.
@@ -62,7 +66,7 @@ impl Gpu {
         self.step_in(&self.workspace, sizes, "use a smaller `width` or `depth`, or the CPU")
     }
 
-    /// Begins a step with the buffers of `workspace`.
+    /// Begins a step with the buffers of `workspace`, which grow to at least `sizes` numbers by slot.
     ///
     /// # Errors
     /// As [`Self::step`], with this `advice`.
@@ -88,7 +92,7 @@ impl Gpu {
             }
             workspace.changed = workspace.steps;
             let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
-            let Ok(buffer) = self.buffer(bytes, usage) else {
+            let Ok(buffer) = self.create_buffer(bytes, usage) else {
                 workspace.release();
                 return Err(refuse(format!(", and {} has less free", self.name())));
             };
@@ -122,7 +126,7 @@ impl Gpu {
     }
 
     /// Creates a buffer of `bytes` bytes; the error is that of the driver.
-    pub(crate) fn buffer(&self, bytes: u64, usage: BufferUsages) -> Result<Buffer, String> {
+    pub(crate) fn create_buffer(&self, bytes: u64, usage: BufferUsages) -> Result<Buffer, String> {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let limits = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
@@ -137,12 +141,12 @@ impl Gpu {
 }
 
 impl GpuStep<'_> {
-    /// Returns the number of the step. Buffers keep their content until the next step.
+    /// Returns the number of the step, for [`Self::follows`] of the next one.
     pub fn number(&self) -> u64 {
         self.workspace.steps
     }
 
-    /// Returns whether the buffers still have the content of step `number`.
+    /// Returns whether this step is the next after step `number` and its buffers still have the content of that one.
     pub fn follows(&self, number: u64) -> bool {
         self.workspace.steps == number + 1 && self.workspace.changed <= number
     }
@@ -160,7 +164,7 @@ impl GpuStep<'_> {
         self.record(Command::Copy { from: (from, bytes_of(start)), to, bytes: bytes_of(len) });
     }
 
-    /// Writes values to a slot from number `start` on, after all passes recorded so far.
+    /// Writes values to a slot from number `start` on, after all passes recorded so far, which it sends.
     pub fn upload(&mut self, slot: usize, start: usize, values: &[Real]) {
         self.send();
         let single: Vec<f32>;
@@ -209,6 +213,7 @@ impl GpuStep<'_> {
         if groups.contains(&0) {
             return;
         }
+        // The order of `Gpu::kernels`.
         let mut kernels = KERNELS.iter().chain(&DRAWING).chain(&RESIDENT);
         let kernel = kernels.position(|kernel| *kernel == name).expect("a kernel of that name");
         let slots = slots.map(|slot| self.base + slot);
@@ -239,9 +244,9 @@ impl GpuStep<'_> {
                 format!("out of memory, of which it has {}", describe_bytes(self.gpu.memory)),
             );
         }
-        let results = self.gpu.buffer(read_bytes.max(bytes_of(1)), usage); // a buffer has at least one number
+        let results = self.gpu.create_buffer(read_bytes.max(bytes_of(1)), usage); // a buffer has at least one number
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
-        let uniforms = self.gpu.buffer((size_of::<u32>() * arguments.len()).max(ALIGNMENT) as u64, uniform);
+        let uniforms = self.gpu.create_buffer((size_of::<u32>() * arguments.len()).max(ALIGNMENT) as u64, uniform);
         let (results, uniforms) = match (results, uniforms) {
             (Ok(results), Ok(uniforms)) => (results, uniforms),
             (Err(why), _) | (_, Err(why)) => return keep_first(&self.gpu.failure, why),

@@ -243,7 +243,7 @@ fn drawings_beyond_the_gpu_are_errors_before_the_step() {
 #[test]
 fn memory_that_runs_out_within_a_step_is_an_error() {
     let Some(gpu) = for_tests() else { return };
-    let error = gpu.buffer(1 << 62, wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST).unwrap_err();
+    let error = gpu.create_buffer(1 << 62, wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST).unwrap_err();
     assert!(!error.is_empty());
     // An error in the midst of a step is that of its end.
     let gpu = &Gpu::open(&adapters()[0]).unwrap();
@@ -265,7 +265,7 @@ fn memory_that_runs_out_within_a_step_is_an_error() {
 #[test]
 fn kept_buffers_outlive_steps() {
     let Some(gpu) = for_tests() else { return };
-    let kept = gpu.keep(3).unwrap();
+    let kept = gpu.create_kept_buffer(3).unwrap();
     let mut step = gpu.step(&[1, 4]).unwrap();
     step.upload(1, 0, &[1.0, 2.0, 3.0, 4.0]);
     step.save(1, 3, &kept);
@@ -276,7 +276,7 @@ fn kept_buffers_outlive_steps() {
     step.load(1, 3, &kept);
     step.read(1, 0, 4);
     assert_eq!(step.finish().unwrap(), [[1.0, 2.0, 3.0, 0.0]]);
-    assert!(gpu.keep(gpu.most_bytes as usize).is_none());
+    assert!(gpu.create_kept_buffer(gpu.most_bytes as usize).is_none());
 }
 
 #[test]

@@ -16,6 +16,6 @@ impl Workspace {
     /// Releases all buffers, so that no later step can use their content.
     pub(crate) fn release(&mut self) {
         self.buffers.clear();
-        self.changed = self.steps + 1;
+        self.changed = self.steps + 1; // the next step creates them
     }
 }

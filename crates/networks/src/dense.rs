@@ -27,7 +27,8 @@ pub struct MatrixMut<'a> {
     strides: (usize, usize),
 }
 
-/// Returns whether the last element of a matrix is inside its slice; strides whose products overflow do not fit.
+/// Returns whether the last element of a matrix is inside its slice; `true` for an empty matrix. Strides whose products
+/// overflow do not fit.
 fn is_inside_slice(len: usize, (rows, columns): (usize, usize), (down, right): (usize, usize)) -> bool {
     let last = || (rows - 1).checked_mul(down)?.checked_add((columns - 1).checked_mul(right)?);
     rows == 0 || columns == 0 || last().is_some_and(|last| last < len)
@@ -63,6 +64,7 @@ impl<'a> Matrix<'a> {
     /// Returns the columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
+        // No columns may begin beyond the slice.
         let data = &self.data[range.start.saturating_mul(self.strides.1).min(self.data.len())..];
         Self { data, shape: (self.shape.0, range.len()), strides: self.strides }
     }
@@ -86,11 +88,11 @@ impl<'a> MatrixMut<'a> {
     /// Returns the columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
-        let start = range.start.saturating_mul(self.strides.1).min(self.data.len());
+        let start = range.start.saturating_mul(self.strides.1).min(self.data.len()); // as [`Matrix::columns`]
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
     }
 
-    /// Splits a matrix of [`Self::has_rows`] after `rows` rows.
+    /// Splits the matrix after `rows` rows; requires [`Self::has_contiguous_rows`].
     fn split_rows(self, rows: usize) -> (Self, Self) {
         let (m, n) = self.shape;
         let (above, below) = self.data.split_at_mut(rows * self.strides.0);
@@ -99,11 +101,11 @@ impl<'a> MatrixMut<'a> {
     }
 
     /// Returns whether each row is contiguous and ends before the next.
-    fn has_rows(&self) -> bool {
+    fn has_contiguous_rows(&self) -> bool {
         self.strides.1 == 1 && self.shape.1 <= self.strides.0
     }
 
-    /// Reborrows the matrix.
+    /// Borrows the matrix again, for the first of two uses.
     fn reborrow(&mut self) -> MatrixMut<'_> {
         MatrixMut { data: self.data, shape: self.shape, strides: self.strides }
     }
@@ -123,8 +125,8 @@ thread_local! {
     static PRODUCT_THREADS: Cell<usize> = const { Cell::new(1) };
 }
 
-/// Returns the result of `run`, in which each product is divided among up to `threads` threads. It does not depend on
-/// their number.
+/// Runs `run` with each product divided among up to `threads` threads; 0 and 1 mean the calling thread. The result does not
+/// depend on their number.
 pub(crate) fn run_with_product_threads<R>(threads: usize, run: impl FnOnce() -> R) -> R {
     let before = PRODUCT_THREADS.replace(threads);
     let result = run();
@@ -134,10 +136,6 @@ pub(crate) fn run_with_product_threads<R>(threads: usize, run: impl FnOnce() -> 
 
 /// Computes the matrix product `c = a·b` or `c += a·b`, on the calling thread or on those of
 /// `run_with_product_threads`.
-///
-/// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
-/// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into
-/// 48 and 32. On other processors this has no disadvantage.
 pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, c.shape.1), "inner and outer sizes of a product agree");
     multiply_rows(c, store, a, b, PRODUCT_THREADS.get());
@@ -146,12 +144,13 @@ pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>)
 /// Number of rows of `a` that `gemm` processes at a time.
 const ROW_GROUP: usize = 6;
 
-/// Computes a product with its rows divided among `threads` threads. The number of rows does not affect the order in which
-/// `gemm` adds up an element, unless there are few: each part has more.
+/// Computes a product with its rows divided among `threads` threads. Every part has so many rows that `gemm` adds up an
+/// element in the same order as without the division.
 fn multiply_rows(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
     let ((m, n), k) = (c.shape, a.shape.1);
     let least = if k <= 512 { 32 } else { 80 }; // rows of a part; more for long sums, which `gemm` divides
-    if threads < 2 || n < 16 || k < 16 || m < 2 * (least + ROW_GROUP) || !c.has_rows() {
+    // Products of fewer than 16 columns or terms are too little work to share.
+    if threads < 2 || n < 16 || k < 16 || m < 2 * (least + ROW_GROUP) || !c.has_contiguous_rows() {
         return multiply_columns(c, store, a, b);
     }
     let above = m / 2 / ROW_GROUP * ROW_GROUP;
@@ -159,18 +158,22 @@ fn multiply_rows(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_
     rayon::join(|| multiply_rows(c1, store, a1, b, threads - half), || multiply_rows(c2, store, a2, b, half));
 }
 
-/// Computes a product on the calling thread, in two calls of `gemm` if the number of columns is slow, see [`product`].
+/// Computes a product on the calling thread.
+///
+/// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
+/// remainder of up to 16 columns, which has too few sums to fill the pipeline. A second call of `gemm` therefore computes
+/// such a remainder with the 16 columns before it. On other processors this has no disadvantage.
 fn multiply_columns(mut c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
-    let left_over = n > 64 && (1..=16).contains(&(n % 64));
-    let cut = if left_over { n / 64 * 64 - 16 } else { n };
+    let is_slow = n > 64 && (1..=16).contains(&(n % 64));
+    let cut = if is_slow { n / 64 * 64 - 16 } else { n };
     call_gemm(c.reborrow().columns(0..cut), store, a, b.columns(0..cut));
     if cut < n {
         call_gemm(c.columns(cut..n), store, a, b.columns(cut..n));
     }
 }
 
-/// Computes `c = a·b` or `c += a·b` by one call of `gemm`, whose arguments are columns before rows.
+/// Computes `c = a·b` or `c += a·b` by one call of `gemm`, which takes the stride of columns before that of rows.
 #[allow(clippy::needless_pass_by_value)] // a mutable borrow ends here; by reference every call would need `&mut`
 fn call_gemm(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let ((m, n), k) = (c.shape, a.shape.1);
@@ -250,7 +253,7 @@ pub fn add_bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     );
 }
 
-/// Runs the backward pass of [`add_bias`]: adds sums over the Gaussians to `d_bias`.
+/// Runs the backward pass of [`add_bias`]: adds the sums of `d` over the Gaussians to `d_bias`.
 pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     for (d, sum) in d.chunks_exact(rows).zip(d_bias) {
@@ -258,7 +261,7 @@ pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     }
 }
 
-/// Slope of the leaky ReLU below 0: PyTorch's default, which the released networks use.
+/// Slope of the leaky ReLU below 0: PyTorch's default, which the released networks use. Also in `kernels.wgsl`.
 const LEAK: Real = 0.01;
 
 /// Returns |lrelu(z)|, the magnitude of a leaky ReLU.
@@ -331,7 +334,7 @@ pub fn add_scaled_rows<'a>(sum: &mut [Real], rows: &(impl Iterator<Item = (Real,
 
 /// Adds all `sums` to `total`, in the order of the list for each element; elements are divided among threads.
 pub fn add_in_order(total: &mut [Real], sums: &[&[Real]]) {
-    const PIECE: usize = 8192;
+    const PIECE: usize = 8192; // elements per task
     total.par_chunks_mut(PIECE).enumerate().for_each(|(k, total)| {
         for sum in sums {
             add_assign(total, &sum[k * PIECE..][..total.len()]);

@@ -1,5 +1,5 @@
-//! `Encoding`: positional encodings. First γ of octaves, γ(x) = [x, sin 2⁰x, cos 2⁰x, …, sin 2^(L-1)x, cos 2^(L-1)x],
-//! each block three wide.
+//! `Encoding`: positional encodings. That of octaves is γ(x) = [x, sin 2⁰x, cos 2⁰x, …, sin 2^(L-1)x, cos 2^(L-1)x], each
+//! block three wide.
 //!
 //! γ has no factor π and no scaling: x is in metres and 2^k x in radians (as in WRF-GS). The result is feature-major,
 //! `[3 + 6L, R]`, as the layers expect it (see `dense`).
@@ -45,16 +45,16 @@ pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usi
     loop {
         let (block, later) = waves.split_at_mut(6 * rows);
         let (s_out, c_out) = block.split_at_mut(3 * rows);
-        let last = later.is_empty();
+        let is_last = later.is_empty();
         store_and_double(s_out, c_out, &mut sines, &mut cosines);
-        if last {
+        if is_last {
             return;
         }
         waves = later;
     }
 }
 
-/// Stores sines and cosines of R coordinates in `s_out` and `c_out`, then doubles their angles.
+/// Stores `sines` and `cosines` in `s_out` and `c_out`, then doubles the angles of the former in place.
 fn store_and_double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &mut [f64]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -198,14 +198,16 @@ impl Encoding {
                     "{field}: wavelengths of {longest_m} to {shortest_m} m; give the longest, then a shorter one above 0"
                 ))
             }
-            Self::PseudoPosition { octaves, .. } if octaves > MOST_FREQUENCIES => check_frequencies(field, octaves),
-            Self::Features { width, gain } | Self::PseudoPosition { width, gain, .. } => {
-                if !(1..=WIDEST).contains(&width) || !gain.is_finite() || gain == 0.0 {
-                    return Err(format!("{field}: give a width from 1 to {WIDEST} and a gain that is not 0"));
-                }
-                Ok(())
+            Self::PseudoPosition { octaves, .. } if octaves > MOST_FREQUENCIES => {
+                check_frequencies(&format!("{field}: octaves"), octaves)
             }
-            Self::Waves { .. } => Ok(()),
+            Self::Features { width, .. } | Self::PseudoPosition { width, .. } if !(1..=WIDEST).contains(&width) => {
+                Err(format!("{field}: width is {width}; give a number from 1 to {WIDEST}"))
+            }
+            Self::Features { gain, .. } | Self::PseudoPosition { gain, .. } if !gain.is_finite() || gain == 0.0 => {
+                Err(format!("{field}: gain is {gain}; give a finite number that is not 0"))
+            }
+            Self::Waves { .. } | Self::Features { .. } | Self::PseudoPosition { .. } => Ok(()),
         }
     }
 
@@ -217,7 +219,7 @@ impl Encoding {
         Some((spec, vectors.into_flattened().into_iter().map(|k| k as Real).collect()))
     }
 
-    /// Computes the constants of the encoding.
+    /// Returns the encoder; computes its wave vectors.
     pub(super) fn encoder(&self) -> Encoder {
         match *self {
             Self::Octaves(frequencies) => Encoder::Octaves(frequencies),
@@ -227,10 +229,12 @@ impl Encoding {
                 Encoder::Waves((0..count).map(vector).collect(), 1.0)
             }
             Self::Wavelengths { count, longest_m, shortest_m, seed } => {
+                // From 0 for the longest to 1 for the shortest.
                 let ratio = |i: usize| i as f64 / count.saturating_sub(1).max(1) as f64;
                 let wavenumber =
                     |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
                 let axis = |i: usize| std::array::from_fn(|k| if k == i % 3 { wavenumber(i / 3) } else { 0.0 });
+                // Three waves per wavelength.
                 let vectors = match seed.map(random_directions) {
                     None => (0..3 * count).map(axis).collect(),
                     Some(mut direction) => (0..3 * count).map(|i| direction().map(|v| v * wavenumber(i / 3))).collect(),
@@ -248,7 +252,7 @@ fn random_directions(seed: u64) -> impl FnMut() -> [f64; 3] {
     let mut random = rng::stream(seed, "waves", 0);
     move || {
         let direction = [(); 3].map(|()| f64::from(rng::normal(&mut random)));
-        let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
+        let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9); // no division by 0
         direction.map(|v| v / norm)
     }
 }
@@ -264,7 +268,7 @@ pub(super) enum Encoder {
 }
 
 impl Encoder {
-    /// Encodes B transmitters, by position or features, into `out` `[·, B]`.
+    /// Encodes B transmitters, by position or features, into `out` `[width, B]`, with [`Encoding::width`].
     pub(super) fn encode_transmitters(&self, txs: Conditions<'_>, out: &mut [Real]) {
         let Self::Features(width, gain) = *self else { return self.encode(txs.positions(), out) };
         let rows = txs.len();
@@ -273,7 +277,8 @@ impl Encoder {
         }
     }
 
-    /// Encodes B points into `out` `[·, B]`; does nothing for features.
+    /// Encodes B points into `out` `[width, B]`: the coordinates, then sine and cosine wave by wave, or as [`encode`] for
+    /// octaves. Does nothing for features.
     pub(super) fn encode(&self, points: &[[Real; 3]], out: &mut [Real]) {
         let (vectors, scale) = match self {
             Self::Octaves(frequencies) => return encode(points.iter().copied(), *frequencies, out),
@@ -292,7 +297,7 @@ impl Encoder {
         }
     }
 
-    /// Adds the derivative of [`Self::encode`] to `d_points`, given γ and its cotangent, `[·, B]` each.
+    /// Adds the derivative of [`Self::encode`] to `d_points`, given γ of points and its cotangent, `[width, B]` each.
     pub(super) fn encode_vjp(&self, (gamma, d_gamma): (&[Real], &[Real]), d_points: &mut [[Real; 3]]) {
         let rows = d_points.len();
         let scale = if let Self::Waves(_, scale) = self { *scale as Real } else { 1.0 };
@@ -302,12 +307,13 @@ impl Encoder {
         self.waves_vjp(&gamma[3 * rows..], &d_gamma[3 * rows..], d_points);
     }
 
-    /// Adds the derivative through the waves to `d_points`, given their values `[·, N]` (γ without its first three
-    /// rows) and their cotangents.
+    /// Adds the derivative through the waves to `d_points`, given their values `[width - 3, N]` (γ without the
+    /// coordinates) and their cotangents.
     pub(super) fn waves_vjp(&self, waves: &[Real], d_waves: &[Real], d_points: &mut [[Real; 3]]) {
         let rows = d_points.len();
         match self {
             Self::Octaves(frequencies) => {
+                // [`encode_vjp`] expects the coordinates too.
                 let padded = |waves: &[Real]| [vec![0.0; 3 * rows].as_slice(), waves].concat();
                 encode_vjp(&padded(waves), &padded(d_waves), *frequencies, d_points);
             }
@@ -340,7 +346,7 @@ impl Pseudo {
         (0..rows * width).map(value).collect()
     }
 
-    /// Returns the pseudo-positions of B transmitters.
+    /// Returns the pseudo-positions of B transmitters, coordinates from -2 to 2.
     pub(super) fn positions(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<[Real; 3]> {
         let (rows, mut y) = (txs.len(), Vec::new());
         self.layer.apply(weights, &self.scaled_features(txs), &mut y);
@@ -358,8 +364,9 @@ impl Pseudo {
         let (rows, positions) = (txs.len(), self.positions(weights, txs));
         let mut d_positions = vec![[0.0; 3]; rows];
         encode_vjp(gamma, d_gamma, self.octaves, &mut d_positions);
-        let slope = |k: usize, r: usize| d_positions[r][k] * 2.0 * (1.0 - (positions[r][k] / 2.0).powi(2));
-        let d_y: Vec<Real> = (0..3 * rows).map(|i| slope(i / rows, i % rows)).collect();
+        // The derivative of 2 tanh y is 2 (1 - tanh² y).
+        let through_tanh = |k: usize, r: usize| d_positions[r][k] * 2.0 * (1.0 - (positions[r][k] / 2.0).powi(2));
+        let d_y: Vec<Real> = (0..3 * rows).map(|i| through_tanh(i / rows, i % rows)).collect();
         dense::add_bias_vjp(&d_y, self.layer.bias_mut(d_weights));
         self.layer.whole().weight_vjp(d_weights, &self.scaled_features(txs), &d_y);
     }

@@ -84,15 +84,16 @@ impl Factored {
             }
             _ => None,
         };
+        // Uniform within ±√(3/n): the variance of the inputs is kept, if `start` finds no whitening.
         let white = matches!(tx_encoding, Encoder::Features(..))
-            .then(|| plan.unbiased("tx.white", tx_width, tx_width, (3.0 / tx_width as f64).sqrt()));
+            .then(|| plan.linear_within("tx.white", tx_width, tx_width, (3.0 / tx_width as f64).sqrt()));
         let stack = (0..self.depth).map(|l| plan.linear_before_relu(&format!("tx.{l}"), inputs(l), width)).collect();
-        let waves = self.position_encoding.width() - 3;
+        let waves = self.position_encoding.width() - 3; // without the coordinates
         // Factors have the variance 1/width, so that initial signals have the magnitude of one feature.
         let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
         let direct = if white.is_some() { tx_width } else { 0 };
         let features = width + direct;
-        let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
+        let branch = plan.linear_within("branch", waves, 2 * (features + 1), bound);
         let position_encoding = self.position_encoding.encoder();
         let near = self.near.as_ref().map(|near| near.plan_layer(plan, waves));
         FactoredLayers { tx_encoding, position_encoding, carrier, pseudo, white, stack, branch, features, direct, near }
@@ -184,12 +185,12 @@ impl Deformation for Factored {
 
 /// Share of the mean variance that is added to every variance: weaker directions are noise and are not amplified.
 const FAINTEST: f64 = 1e-3;
-/// Maximum number of vectors from which the covariance is computed.
+/// Maximum number of vectors from which the covariance is computed; more are thinned evenly.
 const MOST: usize = 4_000;
 
 /// Returns the whitening of `vectors`: W `[D,D]` and b `[D]` such that W·(gain·x) + b has zero mean and nearly unit
 /// covariance. W = L⁻¹ of the Cholesky factor L of the covariance. `None` if there are no vectors, if all are equal, or if
-/// one is NaN.
+/// a number is not finite.
 pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
     let d = vectors.width();
     let stride = vectors.len().div_ceil(MOST).max(1);
@@ -197,7 +198,7 @@ pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>
         .values()
         .chunks_exact(d)
         .step_by(stride)
-        .map(|row| row.iter().map(|v| gain * f64::from(*v as f32)).collect())
+        .map(|row| row.iter().map(|v| gain * f64::from(*v as f32)).collect()) // equal in both precisions of `Real`
         .collect();
     let n = rows.len() as f64;
     if rows.is_empty() {

@@ -52,7 +52,7 @@ pub(super) struct FactoredLayers {
 pub(super) const TILES: usize = 8;
 
 impl FactoredLayers {
-    /// Encodes the centres of the Gaussians, scaled by [`Self::wave_scale`].
+    /// Returns the waves of the centres, without the coordinates, times [`Self::wave_scale`].
     pub(super) fn basis(&self, means: &[[Real; 3]]) -> Basis {
         let (n, waves, scale) = (means.len(), self.branch.inputs, self.wave_scale());
         let mut lanes = vec![[0.0; LANES]; n.div_ceil(LANES) * waves];
@@ -73,13 +73,13 @@ impl FactoredLayers {
         if inputs == 0 || n == 0 || rows == 0 {
             return None;
         }
-        let inputs_by_row = self.run_stack(weights, txs).swap_remove(0); // [inputs, rows]
-        let values = (0..rows * inputs).map(|i| inputs_by_row[(i % inputs) * rows + i / inputs]).collect();
+        let encoded = self.encode(weights, txs); // [inputs, rows]
+        let values = (0..rows * inputs).map(|i| encoded[(i % inputs) * rows + i / inputs]).collect();
         let (functions, lanes) = (self.branch.inputs, self.basis(means).lanes);
         let wave = |i: usize, k: usize| lanes[i / LANES * functions + k][i % LANES];
         let basis = (0..n * functions).map(|e| wave(e / functions, e % functions)).collect();
-        let first =
-            |channel: usize| self.branch.weight + (channel * (self.features + 1) + self.features - inputs) * functions;
+        // The direct features are the last before the constants.
+        let first = |c: usize| self.branch.weight + (self.channel_rows(c).end - 1 - inputs) * functions;
         let cleared = self.branch.weight..self.branch.bias + self.branch.outputs;
         Some(LinearPart { inputs, values, functions, basis, cleared, first: [first(0), first(1)] })
     }
@@ -90,10 +90,15 @@ impl FactoredLayers {
         (1.0 / (WAVE_MEAN * self.branch.inputs as f64)) as Real
     }
 
-    /// Encodes B transmitters, feature-major `[·, B]`: the inputs of the stack.
+    /// Returns the number of inputs of the stack for B transmitters without the carrier, which follows.
+    pub(super) fn encoded_len(&self, batch: usize) -> usize {
+        (self.stack[0].inputs - usize::from(self.carrier.is_some())) * batch
+    }
+
+    /// Encodes B transmitters: the inputs of the stack, `[inputs, B]`.
     fn encode(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
         let mut inputs = vec![0.0; txs.len() * self.stack[0].inputs];
-        let encoded = inputs.len() - if self.carrier.is_some() { txs.len() } else { 0 };
+        let encoded = self.encoded_len(txs.len());
         match &self.pseudo {
             Some(pseudo) => self.tx_encoding.encode(&pseudo.positions(weights, txs), &mut inputs),
             None => self.tx_encoding.encode_transmitters(txs, &mut inputs[..encoded]),
@@ -109,8 +114,8 @@ impl FactoredLayers {
         inputs
     }
 
-    /// Runs the stack for B transmitters; returns γ(p) and the output of every layer, feature-major `[·, B]`. The last
-    /// output is T, followed by the correlations of `near` if there are any.
+    /// Runs the stack for B transmitters; returns its inputs and the output of every layer, `[features, B]` each. The last
+    /// output is T, with the direct features at its end. With `near`, its correlations follow as one more entry.
     pub(super) fn run_stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![self.encode(weights, txs)];
         for (l, layer) in self.stack.iter().enumerate() {
@@ -128,7 +133,7 @@ impl FactoredLayers {
         layers
     }
 
-    /// Returns the features T `[B, F]` of B transmitters. Those of one do not depend on the others, to the bit.
+    /// Returns the features T `[B, features]` of B transmitters. Those of one do not depend on the others, to the bit.
     fn features(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
         let inputs: Vec<Real> = (0..txs.len()).flat_map(|b| self.encode(weights, txs.rows(b..b + 1))).collect();
         let mut x = Cow::Borrowed(&inputs);
@@ -150,7 +155,7 @@ impl FactoredLayers {
         c * (self.features + 1)..(c + 1) * (self.features + 1)
     }
 
-    /// Returns the coefficients of the waves for the transmitter `tx` with the features `t`.
+    /// Returns wave coefficients and constant terms for the transmitter `tx` with the features `t`, including those of `near`.
     fn wave_mixture(&self, weights: &[Real], t: &[Real], tx: Conditions<'_>) -> WaveMixture {
         let waves = self.branch.inputs;
         let mut mixed = WaveMixture::zeros(waves, 1);
@@ -168,18 +173,19 @@ impl FactoredLayers {
         mixed
     }
 
-    /// Returns the coefficients of the waves of each transmitter. Batches are bit-identical to single calls.
+    /// Returns wave coefficients and constant terms for each transmitter. Batches are bit-identical to single calls, so groups
+    /// may depend on the number of threads.
     pub(super) fn wave_mixtures(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<WaveMixture> {
         let size = txs.len().div_ceil(rayon::current_num_threads()).clamp(1, GROUP);
-        let some = |first: usize| {
+        let group = |first: usize| {
             let txs = txs.rows(first..(first + size).min(txs.len()));
             let one = |(b, t): (usize, &[Real])| self.wave_mixture(weights, t, txs.rows(b..b + 1));
             self.features(weights, txs).chunks_exact(self.features).enumerate().map(one).collect::<Vec<_>>()
         };
-        (0..txs.len()).into_par_iter().step_by(size).flat_map_iter(some).collect()
+        (0..txs.len()).into_par_iter().step_by(size).flat_map_iter(group).collect()
     }
 
-    /// Computes the signals `[B, N]` of all Gaussians.
+    /// Returns the signals `[B, N]` of the Gaussians of `basis`, given the wave coefficients `mixed` per transmitter.
     pub(super) fn forward(&self, basis: &Basis, mixed: &[WaveMixture]) -> Deltas {
         let n = basis.n;
         let mut signals = vec![[0.0; 2]; mixed.len() * n];

@@ -13,8 +13,8 @@ use std::ops::Range;
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
 
 impl FactoredLayers {
-    /// Runs the backward pass of [`Self::forward`] and [`Self::wave_mixtures`], given basis and mixtures and the cotangents
-    /// `d` of the signals; adds to `sums`.
+    /// Runs the backward pass of [`Self::forward`] and [`Self::wave_mixtures`], given their `basis` and `mixed`, and the
+    /// cotangents `d` of the signals; adds to `sums`.
     pub(super) fn vjp(
         &self,
         inputs: &DeformationInputs<'_>,
@@ -33,20 +33,20 @@ impl FactoredLayers {
         let mixed: Vec<WaveMixture> = mixed.chunks(GROUP).map(WaveMixture::joined).collect();
         let d_mixed = self.tiles_vjp(basis, &groups, &mixed, d, sums.means);
         let mut d_txs = sums.positions.map(|d_txs| d_txs.chunks_mut(GROUP));
-        let parts: Vec<Option<&mut [[Real; 3]]>> =
+        let d_tx_parts: Vec<Option<&mut [[Real; 3]]>> =
             groups.iter().map(|_| d_txs.as_mut().and_then(Iterator::next)).collect();
         // The first group adds to the sums themselves.
         let mut others: Vec<Vec<Real>> = groups[1..].iter().map(|_| vec![0.0; weights.len()]).collect();
         let d_weights = iter::once(&mut *sums.weights).chain(others.iter_mut().map(Vec::as_mut_slice));
-        let tasks: Vec<_> = d_weights.zip(parts).enumerate().collect();
+        let tasks: Vec<_> = d_weights.zip(d_tx_parts).enumerate().collect();
         tasks.into_par_iter().for_each(|(k, (d_weights, d_txs))| {
             self.group_vjp(weights, txs.rows(groups[k].clone()), &layers[k], &d_mixed[k], d_weights, d_txs);
         });
         dense::add_in_order(sums.weights, &others.iter().map(Vec::as_slice).collect::<Vec<_>>());
     }
 
-    /// Returns the derivatives of the wave coefficients of each group of transmitters; adds those of the centres to
-    /// `d_means`.
+    /// Returns the derivatives by the wave coefficients `mixed` of each group of transmitters; adds those by the centres to
+    /// `d_means`, if given.
     fn tiles_vjp(
         &self,
         basis: &Basis,
@@ -56,9 +56,9 @@ impl FactoredLayers {
         d_means: Option<&mut [[Real; 3]]>,
     ) -> Vec<WaveMixture> {
         let (n, waves) = (basis.n, self.branch.inputs);
-        let mut centres = d_means.map(|d_means| d_means.chunks_mut(TILES * LANES));
-        let parts: Vec<Option<&mut [[Real; 3]]>> =
-            (0..n).step_by(TILES * LANES).map(|_| centres.as_mut().and_then(Iterator::next)).collect();
+        let mut d_means = d_means.map(|d_means| d_means.chunks_mut(TILES * LANES));
+        let d_mean_parts: Vec<Option<&mut [[Real; 3]]>> =
+            (0..n).step_by(TILES * LANES).map(|_| d_means.as_mut().and_then(Iterator::next)).collect();
         let task = |(k, (tiles, mut d_means)): Task<'_>| {
             let mut sums: Vec<WaveMixture> = groups.iter().map(|g| WaveMixture::zeros(waves, g.len())).collect();
             for (j, tile) in tiles.chunks_exact(waves).enumerate() {
@@ -70,7 +70,7 @@ impl FactoredLayers {
             sums
         };
         let results: Vec<Vec<WaveMixture>> =
-            basis.lanes.par_chunks(TILES * waves).zip(parts).enumerate().map(task).collect();
+            basis.lanes.par_chunks(TILES * waves).zip(d_mean_parts).enumerate().map(task).collect();
         // Sums in the order of the tasks, independent of the threads.
         let mut results = results.into_iter();
         let mut sums = results.next().expect("a Gaussian or more");
@@ -80,8 +80,8 @@ impl FactoredLayers {
         sums
     }
 
-    /// Runs the backward pass of the `gaussians` of one tile: adds to the derivatives `sums` of the wave coefficients, and
-    /// to those of the centres if given.
+    /// Runs the backward pass of [`Self::forward`] for the `gaussians` of one tile: adds to the derivatives `sums` by the wave
+    /// coefficients of each group of transmitters, and to those by the centres if given.
     #[allow(clippy::too_many_arguments)] // the tile, and both ends of the derivative
     fn tile_vjp(
         &self,
@@ -121,8 +121,8 @@ impl FactoredLayers {
         }
     }
 
-    /// Adds the derivatives of the weights from some transmitters to `d_weights`, and those of their positions to `d_txs` if
-    /// given.
+    /// Adds the derivatives by the weights from some transmitters to `d_weights`, and those by their positions to `d_txs` if
+    /// given. `layers` is the result of [`Self::run_stack`], `d` the cotangent of the wave coefficients.
     fn group_vjp(
         &self,
         weights: &[Real],
@@ -177,7 +177,7 @@ impl FactoredLayers {
         }
         let mut d_gamma = vec![0.0; gamma.len()];
         self.stack[0].whole().input_vjp(weights, d_h, &mut d_gamma, StoreMode::Set);
-        let encoded = gamma.len() - if self.carrier.is_some() { txs.len() } else { 0 };
+        let encoded = self.encoded_len(txs.len());
         let encoding = (&gamma[..encoded], &d_gamma[..encoded]);
         match (&self.pseudo, d_txs) {
             (Some(pseudo), _) => pseudo.vjp(weights, txs, encoding, d_weights),
@@ -186,7 +186,7 @@ impl FactoredLayers {
         }
     }
 
-    /// Adds the derivatives of the layer `white` to `d_weights`, given those of its output.
+    /// Adds the derivatives by the layer `white` to `d_weights`, given the cotangent `d` of its output.
     fn white_vjp(&self, white: &Linear, txs: Conditions<'_>, d: &[Real], d_weights: &mut [Real]) {
         let mut features = vec![0.0; txs.len() * white.inputs];
         self.tx_encoding.encode_transmitters(txs, &mut features);
@@ -194,7 +194,7 @@ impl FactoredLayers {
         white.whole().weight_vjp(d_weights, &features, d);
     }
 
-    /// Runs the backward pass of [`Self::wave_mixture`] for the features `t` `[F, B]`, without the correlations: adds to
+    /// Runs the backward pass of [`Self::wave_mixture`] for the features `t` `[features, B]`, without the correlations: adds to
     /// `d_weights`; returns the cotangents of the features.
     fn wave_mixture_vjp(&self, weights: &[Real], t: &[Real], d: &WaveMixture, d_weights: &mut [Real]) -> Vec<Real> {
         let (width, waves, batch) = (self.features, self.branch.inputs, t.len() / self.features);

@@ -40,7 +40,7 @@ pub use wrfgs::Wrfgs;
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema};
 use serde::{Deserialize, Serialize};
 
-/// Rejects factors on the carrier outside 0 to 100.
+/// Rejects factors on the carrier that are negative, NaN, or above 100, such as a frequency in MHz.
 fn check_carrier(carrier: f64) -> Result<(), String> {
     if (0.0..=100.0).contains(&carrier) {
         return Ok(());

@@ -63,14 +63,14 @@ impl Linear {
         self.part(0..self.inputs)
     }
 
-    /// Computes y = W·x + b of a chunk.
+    /// Computes y = W·x + b of a chunk: x `[inputs, R]`; `y` becomes `[outputs, R]`.
     pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
         y.resize(x.len() / self.inputs * self.outputs, 0.0);
         self.whole().apply(weights, x, y, StoreMode::Set);
         dense::add_bias(y, self.bias(weights));
     }
 
-    /// Computes y = relu(W·x + b) of a chunk.
+    /// Computes y = relu(W·x + b) of a chunk, as [`Self::apply`].
     pub fn apply_relu(&self, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
         y.resize(x.len() / self.inputs * self.outputs, 0.0);
         self.whole().apply(weights, x, y, StoreMode::Set);
@@ -101,7 +101,7 @@ pub struct LayerPart {
 }
 
 impl LayerPart {
-    /// Computes `y = W·x` or `y += W·x`.
+    /// Computes `y = W·x` or `y += W·x`, depending on `store`.
     pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: StoreMode) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = y.len() / outputs;
@@ -109,7 +109,7 @@ impl LayerPart {
         product(MatrixMut::new(y, outputs, rows), store, w, Matrix::new(x, features, rows));
     }
 
-    /// Adds the derivative with respect to W to `d_weights`.
+    /// Adds the derivative by W of [`Self::apply`] to `d_weights`, given `x` and the cotangent `d_y`.
     pub fn weight_vjp(&self, d_weights: &mut [Real], x: &[Real], d_y: &[Real]) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
@@ -117,7 +117,7 @@ impl LayerPart {
         product(d_w, StoreMode::Add, Matrix::new(d_y, outputs, rows), Matrix::new(x, features, rows).t());
     }
 
-    /// Computes `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`.
+    /// Computes `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`, depending on `store`.
     pub fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: StoreMode) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
@@ -128,7 +128,7 @@ impl LayerPart {
 
 #[cfg(feature = "gpu")]
 impl Linear {
-    /// Returns the layer with only the first outputs.
+    /// Returns the layer with its first `outputs` outputs only.
     pub(crate) fn with_outputs(&self, outputs: usize) -> Self {
         Self { outputs, ..*self }
     }
@@ -136,7 +136,7 @@ impl Linear {
 
 #[cfg(feature = "gpu")]
 impl LayerPart {
-    /// Returns the columns of W as a matrix in a buffer of the flat vector.
+    /// Returns the columns of W as a matrix in `slot`, which has the layout of the flat vector.
     pub fn block(&self, slot: usize) -> pwrfgs_gpu::Block {
         pwrfgs_gpu::Block::new(slot, self.layer.weight + self.columns.start, self.layer.inputs)
     }
@@ -173,7 +173,7 @@ impl LayoutBuilder {
         self.add_tensor(WeightSpec::zeros(name, shape))
     }
 
-    /// Adds a tensor that follows from the training set and does not learn. Returns its offset in the flat vector.
+    /// Adds a tensor of zeros that the training set replaces and that does not learn. Returns its offset in the flat vector.
     pub fn fixed(&mut self, name: &str, shape: Vec<usize>) -> usize {
         self.add_tensor(WeightSpec { learns: false, ..WeightSpec::zeros(name, shape) })
     }
@@ -186,20 +186,20 @@ impl LayoutBuilder {
     /// Adds a linear layer before a ReLU, with He's initial values: weights uniform within ±√(6/inputs), biases 0. The
     /// magnitude of activations is then constant for any depth of the stack. Dropout applies to its outputs.
     pub fn linear_before_relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
-        let layer = self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt());
-        self.tensors.iter_mut().rev().take(2).for_each(|spec| spec.hidden = true);
+        let layer = self.linear_within(name, inputs, outputs, (6.0 / inputs as f64).sqrt());
+        self.tensors.iter_mut().rev().take(2).for_each(|spec| spec.hidden = true); // weights and biases
         layer
     }
 
     /// Adds a layer with weights uniform within ±`bound` and biases 0.
-    pub fn unbiased(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
+    pub fn linear_within(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
         let weight = self.add_uniform(format!("{name}.weight"), vec![outputs, inputs], bound);
         let bias = self.add_uniform(format!("{name}.bias"), vec![outputs], 0.0);
         Linear { inputs, outputs, weight, bias }
     }
 
-    /// Adds layers that share their input, stored weights first and then biases, so that they act as one layer. Their
-    /// initial values are multiplied by `scale`.
+    /// Adds layers that share their input, stored weights first and then biases, so that they act as one layer. `heads` are
+    /// names and numbers of outputs. Initial values are PyTorch's times `scale`.
     pub fn heads(&mut self, heads: &[(&str, usize)], inputs: usize, scale: f64) -> Linear {
         let bound = scale / (inputs as f64).sqrt();
         let (weight, outputs) = (self.len, heads.iter().map(|h| h.1).sum());
@@ -249,19 +249,20 @@ pub struct Item {
     pub txs: Range<usize>,
 }
 
-/// Returns the number of Gaussians per chunk. It depends only on N and the width, so that results do not depend on the
-/// number of threads or the batch size. The maximum is 192, or fewer for more than 256 units, but at least 48: two
-/// activations of width 256 then fit 1 MiB of second-level cache. A stride of 256 or 512 floats, at which gemm loses
-/// half its speed to cache conflicts, never occurs. For small N there are up to 24 chunks of about 64 rows, an even
-/// number, so that two threads share N = 157.
+/// Returns the number of Gaussians per chunk, a multiple of 16: whole vectors. It depends only on N and the width, so that
+/// results do not depend on the number of threads or the batch size. The maximum is 192, or fewer for more than 256 units,
+/// but at least 48: two activations of width 256 then fit 1 MiB of second-level cache. A stride of 256 or 512 floats, at
+/// which gemm loses half its speed to cache conflicts, never occurs. For small N there are up to 24 chunks of about 64 rows,
+/// an even number, so that two threads share N = 157.
 pub fn rows_per_chunk(n: usize, width: usize) -> usize {
     let most = (192 * 256 / width.max(1) / 16 * 16).clamp(48, 192);
     let chunks = n.div_ceil(most).max((n / 64).min(24)).next_multiple_of(2);
     n.div_ceil(chunks.max(1)).next_multiple_of(16).clamp(16, most)
 }
 
-/// Returns all work items for N Gaussians and B transmitters: chunk by chunk; the batch is divided only if there are
-/// fewer than 16 chunks, to use more threads. Groups of transmitters are the outer loop, chunks the inner one.
+/// Returns the work items for `n` Gaussians and `batch` transmitters, in layers of `width` units: for each group of
+/// transmitters all chunks of Gaussians. The batch is one group, unless there are fewer than 16 chunks; more items then use
+/// more threads.
 pub fn work_items(n: usize, batch: usize, width: usize) -> Vec<Item> {
     let rows = rows_per_chunk(n, width);
     let chunks = n.div_ceil(rows);
@@ -276,11 +277,11 @@ pub fn work_items(n: usize, batch: usize, width: usize) -> Vec<Item> {
         .collect()
 }
 
-/// Runs `run` on groups of items, in parallel, and adds the derivatives of the weights, which it adds to its second
-/// argument, to `d_weights`; returns the results of `run`, in the order of the groups.
+/// Runs `run` on groups of `items` in parallel. `run` adds derivatives of the weights to its second argument; their sum over
+/// the groups is added to `d_weights`. Returns the results of `run` in the order of the groups.
 ///
-/// The number of groups is a power of two up to 16, independent of the threads: each is summed in order, then they are
-/// added in order; the first is `d_weights` itself. Further threads share the products of a group.
+/// There are up to 16 groups, whatever the number of threads. Each is summed in order, the first in `d_weights` itself; the
+/// sums of the others are then added in order. Further threads share the products of a group.
 pub fn sum_groups<T: Sync, R: Send>(
     items: &[T],
     d_weights: &mut [Real],
@@ -291,13 +292,13 @@ pub fn sum_groups<T: Sync, R: Send>(
     let (numbers, groups) = (d_weights.len(), items.len().div_ceil(size));
     let threads = rayon::current_num_threads();
     let mut first = Some(&mut *d_weights);
-    let sums: Vec<Option<&mut [Real]>> = (0..groups).map(|_| first.take()).collect();
-    let one = |(items, sum): (&[T], Option<&mut [Real]>)| {
-        let mut accumulator = vec![0.0; if sum.is_some() { 0 } else { numbers }];
-        let result = dense::run_with_product_threads(threads / groups, || run(items, sum.unwrap_or(&mut accumulator)));
-        (accumulator, result)
+    let totals: Vec<Option<&mut [Real]>> = (0..groups).map(|_| first.take()).collect();
+    let one = |(items, total): (&[T], Option<&mut [Real]>)| {
+        let mut sum = vec![0.0; if total.is_some() { 0 } else { numbers }];
+        let result = dense::run_with_product_threads(threads / groups, || run(items, total.unwrap_or(&mut sum)));
+        (sum, result)
     };
-    let (sums, results): (Vec<Vec<Real>>, Vec<R>) = items.par_chunks(size).zip(sums).map(one).unzip();
+    let (sums, results): (Vec<Vec<Real>>, Vec<R>) = items.par_chunks(size).zip(totals).map(one).unzip();
     dense::add_in_order(d_weights, &sums.iter().skip(1).map(Vec::as_slice).collect::<Vec<_>>());
     results
 }

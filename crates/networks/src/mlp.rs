@@ -97,6 +97,7 @@ impl Mlp {
         let gamma = encoding::encoded_width(self.position_frequencies);
         let &Self { position_frequencies, depth, width, skip, outputs, .. } = self;
         let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: self.tx_features });
+        // Rows in the order of [`ROTATION`], [`SCALING`] and [`SIGNAL`], which `resident.wgsl` repeats.
         let heads: &[(&str, usize)] = match outputs {
             Outputs::All => &[("rotation", 4), ("scaling", 3), ("signal", 2)],
             Outputs::Signals => &[("signal", 2)],
@@ -229,31 +230,32 @@ impl MlpLayers {
         self.trunk.share_gamma(weights, &scratch.gamma, &mut scratch.shared);
     }
 
-    /// Returns the terms of all Gaussians and transmitters, in the order of the transmitters; with `is_kept`, also the
-    /// activations of the items that fit within [`KEPT_BYTES`].
+    /// Returns the terms `[B, N]` of all transmitters and Gaussians; if `is_kept`, also the activations of the first items
+    /// that fit within [`KEPT_BYTES`].
     pub(super) fn forward(&self, inputs: &DeformationInputs<'_>, is_kept: bool) -> (Deltas, Kept) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.branch.tx_sides(weights, &self.trunk, txs);
         let items = work_items(means.len(), txs.len(), self.trunk.width);
         let mut bytes = 0;
-        let fits = |item: &Item| {
+        let fits_memory = |item: &Item| {
             bytes += item.rows.len() * item.txs.len() * self.trunk.depth() * self.trunk.width * size_of::<Real>();
             is_kept && bytes <= KEPT_BYTES
         };
-        let fit: Vec<bool> = items.iter().map(fits).collect();
-        let one = |scratch: &mut Scratch, (item, is_kept): (&Item, bool)| {
+        let fits: Vec<bool> = items.iter().map(fits_memory).collect();
+        let one = |scratch: &mut Scratch, (item, fits): (&Item, bool)| {
             self.share_means(weights, &means[item.rows.clone()], scratch);
             let mut kept = Vec::new();
             let mut deltas = Vec::new();
             for side in &sides[item.txs.clone()] {
-                scratch.slots.resize_with(if is_kept { self.trunk.depth() } else { 2 }, Vec::new);
-                deltas.push(self.head_outputs(weights, side, scratch));
-                kept.extend(is_kept.then(|| std::mem::take(&mut scratch.slots)));
+                scratch.slots.resize_with(if fits { self.trunk.depth() } else { 2 }, Vec::new);
+                deltas.push(self.tx_terms(weights, side, scratch));
+                kept.extend(fits.then(|| std::mem::take(&mut scratch.slots)));
             }
             (deltas, kept)
         };
         let (pieces, kept): (Vec<Vec<Deltas>>, Vec<Vec<Activations>>) =
-            items.par_iter().zip(fit).map_init(Scratch::default, one).unzip();
+            items.par_iter().zip(fits).map_init(Scratch::default, one).unzip();
+        // Each group of transmitters has the same chunks, see [`work_items`].
         let mut terms = Deltas::default();
         let mut start = 0; // first item of a group of transmitters
         while start < items.len() {
@@ -267,8 +269,8 @@ impl MlpLayers {
         (terms, Kept(kept))
     }
 
-    /// Returns the outputs of the heads for the chunk in `scratch` and one transmitter.
-    fn head_outputs(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
+    /// Returns the terms of the chunk in `scratch` for one transmitter; its activations stay in `scratch.slots`.
+    fn tx_terms(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
         let Scratch { shared, slots, out, .. } = scratch;
         self.trunk.forward(weights, shared, &side.folded, slots);
         self.heads.apply(weights, &slots[self.trunk.last_slot(slots.len())], out);
@@ -287,7 +289,8 @@ impl MlpLayers {
         }
     }
 
-    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` of the terms; adds to `sums`.
+    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` of the terms; adds to `sums`, without the
+    /// centres, which are detached.
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let DeformationVjp { weights: d_weights, positions: d_txs, .. } = sums;
@@ -296,18 +299,18 @@ impl MlpLayers {
         let kept: &[Vec<Activations>] = if inputs.kept.is_some() { &cached::<Kept>(inputs.kept).0 } else { &[] };
         let items: Vec<(Item, &[Activations])> =
             items.into_iter().enumerate().map(|(k, item)| (item, kept.get(k).map_or(&[][..], Vec::as_slice))).collect();
-        let sums = sum_groups(&items, d_weights, |items, d_weights| {
-            let mut folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
+        let group_sums = sum_groups(&items, d_weights, |items, d_weights| {
+            let mut d_folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
             let mut scratch = Scratch::default();
             for (item, kept) in items {
-                self.item_vjp(inputs, &sides, d, (item, kept), &mut scratch, (d_weights, &mut folded));
+                self.item_vjp(inputs, &sides, d, (item, kept), &mut scratch, (d_weights, &mut d_folded));
             }
-            folded
+            d_folded
         });
-        let mut folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
-        dense::add_in_order(&mut folded.first, &sums.iter().map(|s| s.first.as_slice()).collect::<Vec<_>>());
-        dense::add_in_order(&mut folded.joined, &sums.iter().map(|s| s.joined.as_slice()).collect::<Vec<_>>());
-        self.branch.vjp(weights, &self.trunk, &sides, &folded, d_weights, d_txs);
+        let mut d_folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
+        dense::add_in_order(&mut d_folded.first, &group_sums.iter().map(|s| s.first.as_slice()).collect::<Vec<_>>());
+        dense::add_in_order(&mut d_folded.joined, &group_sums.iter().map(|s| s.joined.as_slice()).collect::<Vec<_>>());
+        self.branch.vjp(weights, &self.trunk, &sides, &d_folded, d_weights, d_txs);
     }
 
     /// Runs the backward pass of one chunk for some transmitters; recomputes its forward pass first, unless it was
@@ -340,8 +343,8 @@ impl MlpLayers {
                 self.trunk.forward(weights, shared, &sides[b].folded, slots);
                 &*slots
             };
-            let here = b * n + item.rows.start..b * n + item.rows.end;
-            self.scatter_cotangents(d, here, out);
+            let terms = b * n + item.rows.start..b * n + item.rows.end;
+            self.scatter_cotangents(d, terms, out);
             let h = &slots[self.trunk.depth() - 1];
             self.heads.apply_vjp(weights, (h, out), d_weights, (d_h, StoreMode::Set));
             let into = TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: d_folded.tx_part(b, width) };
@@ -350,7 +353,7 @@ impl MlpLayers {
         self.trunk.share_gamma_vjp(weights, gamma, &d_shared, d_weights, None);
     }
 
-    /// Writes the cotangents of some terms to `out` `[outputs, R]`, as the heads output them.
+    /// Writes the cotangents of the range `terms` of `[B, N]` to `out` `[outputs, R]`, as the heads output them.
     fn scatter_cotangents(&self, d: &Deltas, terms: Range<usize>, out: &mut [Real]) {
         let rows = terms.len();
         match self.outputs {

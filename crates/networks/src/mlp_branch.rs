@@ -46,7 +46,7 @@ impl TxBranch {
     }
 
     /// Runs the backward pass of the transmitter branch for all transmitters at once, given the cotangents of the folded
-    /// biases: adds to `d_weights`, and to the cotangents of the positions if given.
+    /// biases, `[B, width]` each: adds to `d_weights`, and to the cotangents `d_txs` of the positions if given.
     pub(super) fn vjp(
         &self,
         weights: &[Real],

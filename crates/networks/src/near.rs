@@ -40,7 +40,8 @@ impl Near {
         Ok(())
     }
 
-    /// Plans the positions `[count, 3]`, which do not learn, and the weights `[2 · count, waves]`, initially 0.
+    /// Plans the positions `[count, 3]`, which do not learn, and the weights `[2 · count, waves]`, initially 0: channel by
+    /// channel, see `channel_offset`.
     pub(super) fn plan_layer(&self, plan: &mut LayoutBuilder, waves: usize) -> NearLayer {
         let positions = plan.fixed("near.positions", vec![self.count, 3]);
         let weight = plan.zeros("near.weight", vec![2 * self.count, waves]);
@@ -59,7 +60,8 @@ pub(super) struct NearLayer {
 }
 
 impl NearLayer {
-    /// Sets the positions of the layer to those of the training set, thinned evenly to `count`.
+    /// Sets the positions of the layer to those of the training set, thinned evenly to `count`; those left over to
+    /// [`UNUSED`].
     pub(super) fn set_positions(&self, training: &[[Real; 3]], weights: &mut [Real]) {
         let positions = weights[self.positions..][..3 * self.count].as_chunks_mut::<3>().0;
         positions.fill([UNUSED; 3]);
@@ -71,7 +73,7 @@ impl NearLayer {
         weights[self.positions..][..3 * self.count].as_chunks::<3>().0
     }
 
-    /// Returns the correlation of a transmitter with a position of the layer, times [`GAIN`].
+    /// Returns the correlation of a transmitter with a position of the layer, times [`GAIN`]; 0 from [`END`] lengths on.
     fn correlation(&self, tx: &[Real; 3], z: &[Real; 3]) -> Real {
         let square: Real = (0..3).map(|k| (tx[k] - z[k]) * (tx[k] - z[k])).sum();
         if square < (END * self.length) * (END * self.length) {
@@ -93,8 +95,8 @@ impl NearLayer {
         correlations
     }
 
-    /// Adds the coefficients of the waves of both channels that follow from the correlations of the transmitter at `tx` to
-    /// `out`.
+    /// Adds the contributions of the correlations of the transmitter at `tx` to the wave coefficients `out`, `[waves]` per
+    /// channel.
     pub(super) fn add_wave_coefficients(&self, weights: &[Real], tx: &[Real; 3], out: &mut [Vec<Real>; 2]) {
         let correlations = self.layer_positions(weights).iter().map(|z| self.correlation(tx, z)).enumerate();
         let correlations: Vec<(usize, Real)> = correlations.filter(|(_, value)| *value != 0.0).collect();
@@ -105,8 +107,8 @@ impl NearLayer {
         }
     }
 
-    /// Adds the derivatives of the weights of channel `c` to `d_weights`, given those `d_waves` `[waves, B]` of the
-    /// coefficients.
+    /// Adds the derivatives of the weights of channel `c` to `d_weights`, given the result of [`Self::correlations`] and the
+    /// cotangents `d_waves` `[waves, B]` of the wave coefficients.
     pub(super) fn weight_vjp(&self, c: usize, correlations: &[Real], d_waves: &[Real], d_weights: &mut [Real]) {
         let batch = correlations.len() / self.count;
         let d_table = &mut d_weights[self.channel_offset(c)..][..self.count * self.waves];
@@ -115,8 +117,8 @@ impl NearLayer {
         product(MatrixMut::new(d_table, self.count, self.waves), StoreMode::Add, correlations, d_waves.t());
     }
 
-    /// Adds the derivatives of channel `c` by the transmitter positions to `d_txs`. A correlation has no derivative at its
-    /// position and from its end on.
+    /// Adds the derivatives by the transmitter positions to `d_txs`, given the same as [`Self::weight_vjp`]. That of a
+    /// correlation is 0 at its position, where it has none, and from [`END`] lengths on.
     pub(super) fn position_vjp(
         &self,
         weights: &[Real],
@@ -128,10 +130,11 @@ impl NearLayer {
     ) {
         let batch = txs.len();
         let table = Matrix::new(&weights[self.channel_offset(c)..][..self.count * self.waves], self.count, self.waves);
-        let mut d = vec![0.0; self.count * batch];
+        let mut d_correlations = vec![0.0; self.count * batch];
         let d_waves = Matrix::new(d_waves, self.waves, batch);
-        product(MatrixMut::new(&mut d, self.count, batch), StoreMode::Set, table, d_waves);
-        let rows = d.chunks_exact(batch).zip(correlations.chunks_exact(batch)).zip(self.layer_positions(weights));
+        product(MatrixMut::new(&mut d_correlations, self.count, batch), StoreMode::Set, table, d_waves);
+        let rows = d_correlations.chunks_exact(batch).zip(correlations.chunks_exact(batch));
+        let rows = rows.zip(self.layer_positions(weights));
         for ((d, values), z) in rows {
             for (((d, value), p), d_tx) in d.iter().zip(values).zip(txs.positions()).zip(d_txs.iter_mut()) {
                 let offset: [Real; 3] = std::array::from_fn(|k| p[k] - z[k]);

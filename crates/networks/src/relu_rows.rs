@@ -16,14 +16,14 @@ pub(crate) struct ReluRows<'a> {
 }
 
 impl ReluRows<'_> {
-    /// Computes M outputs, from `row` on, of N transmitters, from `tx` on.
+    /// Computes M outputs, from `output` on, of N transmitters, from `tx` on.
     #[inline(always)]
-    fn block<S: pulp::Simd, const M: usize, const N: usize>(&mut self, simd: S, row: usize, tx: usize) {
+    fn block<S: pulp::Simd, const M: usize, const N: usize>(&mut self, simd: S, output: usize, tx: usize) {
         let outputs = self.bias.len();
         let inputs = self.weights.len() / outputs;
         let (mut a, mut b): ([&[Real]; M], [&[Real]; N]) = ([&[]; M], [&[]; N]);
         for i in 0..M {
-            a[i] = &self.weights[(row + i) * inputs..][..inputs];
+            a[i] = &self.weights[(output + i) * inputs..][..inputs];
         }
         for j in 0..N {
             b[j] = &self.x[(tx + j) * inputs..][..inputs];
@@ -31,22 +31,23 @@ impl ReluRows<'_> {
         let sums = Real::dots(simd, a, b);
         for i in 0..M {
             for j in 0..N {
-                let z = sums[i][j] + self.bias[row + i];
-                self.y[(tx + j) * outputs + row + i] = if z < 0.0 { 0.0 } else { z }; // NaN stays NaN
+                let z = sums[i][j] + self.bias[output + i];
+                self.y[(tx + j) * outputs + output + i] = if z < 0.0 { 0.0 } else { z }; // NaN stays NaN
             }
         }
     }
 
-    /// Computes M outputs, from `row` on, of all transmitters, three at a time: the sums of a block then stay in registers.
+    /// Computes M outputs, from `output` on, of all transmitters, three at a time. The sums of a block, up to 4 × 3, then stay
+    /// in registers.
     #[inline(always)]
-    fn rows<S: pulp::Simd, const M: usize>(&mut self, simd: S, row: usize) {
+    fn all_transmitters<S: pulp::Simd, const M: usize>(&mut self, simd: S, output: usize) {
         let (txs, mut tx) = (self.y.len() / self.bias.len(), 0);
         while tx + 3 <= txs {
-            self.block::<S, M, 3>(simd, row, tx);
+            self.block::<S, M, 3>(simd, output, tx);
             tx += 3;
         }
         while tx < txs {
-            self.block::<S, M, 1>(simd, row, tx);
+            self.block::<S, M, 1>(simd, output, tx);
             tx += 1;
         }
     }
@@ -56,14 +57,14 @@ impl pulp::WithSimd for ReluRows<'_> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(mut self, simd: S) {
-        let (outputs, mut row) = (self.bias.len(), 0);
-        while row + 4 <= outputs {
-            self.rows::<S, 4>(simd, row);
-            row += 4;
+        let (outputs, mut output) = (self.bias.len(), 0);
+        while output + 4 <= outputs {
+            self.all_transmitters::<S, 4>(simd, output);
+            output += 4;
         }
-        while row < outputs {
-            self.rows::<S, 1>(simd, row);
-            row += 1;
+        while output < outputs {
+            self.all_transmitters::<S, 1>(simd, output);
+            output += 1;
         }
     }
 }

@@ -86,7 +86,7 @@ impl Trunk {
         self.layers.len()
     }
 
-    /// Returns the columns of layer `l` that multiply h.
+    /// Returns the columns of layer `l`, from the second on, that multiply h.
     fn hidden_part(&self, l: usize) -> LayerPart {
         let before = if Some(l) == self.joined { self.gamma + self.side } else { 0 };
         self.layers[l].part(before..before + self.width)
@@ -107,7 +107,7 @@ impl Trunk {
         Joints { first: vec![0.0; len], joined: vec![0.0; if self.joined.is_some() { len } else { 0 }] }
     }
 
-    /// Returns the biases including W·e of the layers with inputs γ and e, `[width]` each.
+    /// Returns the biases including W·e of the layers with inputs γ and e, `[width]` each, for a transmitter with `e` `[side]`.
     pub fn fold_biases(&self, weights: &[Real], e: &[Real]) -> Joints {
         let mut folded = self.joints().map(|layer| {
             let mut bias = layer.bias(weights).to_vec();
@@ -141,7 +141,7 @@ impl Trunk {
         }
     }
 
-    /// Computes W·γ of the layers with input γ, for a chunk; γ `[gamma, R]`.
+    /// Computes W·γ of the layers with inputs γ and e in `shared`, for a chunk γ `[components, R]`.
     pub fn share_gamma(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
         let rows = gamma.len() / self.gamma;
         for (layer, out) in self.joints().zip([&mut shared.first, &mut shared.joined]) {
@@ -150,7 +150,8 @@ impl Trunk {
         }
     }
 
-    /// Runs the backward pass of [`Self::share_gamma`]: adds to `d_weights`, and to `d_gamma` if given.
+    /// Runs the backward pass of [`Self::share_gamma`], given γ and the cotangents `d_shared`: adds to `d_weights`, and to
+    /// `d_gamma` if given.
     pub fn share_gamma_vjp(
         &self,
         weights: &[Real],
@@ -193,13 +194,13 @@ impl Trunk {
         }
     }
 
-    /// Returns the index of the slot, of `slots`, that holds the output of the last layer.
+    /// Returns the index of the slot that holds the output of the last layer, of so many `slots`.
     pub fn last_slot(&self, slots: usize) -> usize {
         (self.depth() - 1) % slots
     }
 
-    /// Runs the backward pass of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last
-    /// layer and is overwritten; `spare` is a work buffer.
+    /// Runs the backward pass of [`Self::forward`] with all activations in `slots`; adds to `into`. `d` is the cotangent of
+    /// the last layer and is overwritten; `spare` is a work buffer.
     pub fn backward(
         &self,
         weights: &[Real],
@@ -230,7 +231,7 @@ impl Trunk {
 }
 
 impl Joints {
-    /// Returns the part of transmitter `b` in each of two `[B, width]`.
+    /// Returns the rows of transmitter `b` in both vectors, `[B, width]` each; the second is empty without a skip.
     pub fn tx_part(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
         let part = b * width..(b + 1) * width;
         [&mut self.first[part.clone()], self.joined.get_mut(part).unwrap_or_default()]

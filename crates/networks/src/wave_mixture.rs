@@ -25,7 +25,7 @@ impl WaveMixture {
         Self { waves: [(); 2].map(|()| vec![0.0; waves * batch]), base: [(); 2].map(|()| vec![0.0; batch]) }
     }
 
-    /// Joins the coefficients of single transmitters.
+    /// Joins the coefficients of single transmitters: `[waves, 1]` each, into `[waves, B]`.
     pub(super) fn joined(each: &[Self]) -> Self {
         let waves = each.first().map_or(0, |mixed| mixed.waves[0].len());
         Self {

@@ -65,7 +65,7 @@ impl Wrfgs {
         self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::cloud_norm(means, pose))
     }
 
-    /// Returns the terms of S·A, `[B, N]`.
+    /// Returns the terms with the signals g·S·A in the first channel, given the products S·A, `[B, N]`.
     fn signals(gain: Real, products: Vec<Real>) -> Deltas {
         Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
     }
@@ -75,6 +75,7 @@ impl Wrfgs {
         let &Self { depth, width, frequencies, skip, .. } = self;
         let gamma = encoding::encoded_width(frequencies);
         let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: 0 });
+        // Two outputs, as released: a magnitude, and a phase that is not used.
         let attenuation = plan.linear("attn", width, 2);
         let feature = plan.linear("feat", width, width);
         let signal = [plan.linear("sig.0", width + 2 * gamma, width), plan.linear("sig.1", width, width / 2)];
@@ -82,7 +83,7 @@ impl Wrfgs {
         WrfgsLayers { trunk, attenuation, feature, branch }
     }
 
-    /// Plans the layers for a weight vector of that length.
+    /// Returns the layers for these weights.
     fn planned_layers(&self, weights: &[Real]) -> WrfgsLayers {
         lay_out_for(weights, |plan| self.plan_layers(plan))
     }

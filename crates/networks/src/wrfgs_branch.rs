@@ -47,7 +47,8 @@ impl Branch {
         [first.part(0..width), first.part(width..width + gamma), first.part(width + gamma..width + 2 * gamma)]
     }
 
-    /// Runs the part of the branch that depends on the transmitter only.
+    /// Runs the part of the branch that depends on the transmitter only, for each transmitter on its own, so that batches
+    /// are bit-identical to single calls.
     pub(super) fn tx_sides(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<TxSide> {
         let [_, tx_part, _] = self.first_layer_parts();
         let side = |&tx: &[Real; 3]| {
@@ -61,7 +62,7 @@ impl Branch {
     }
 
     /// Runs the backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`. Adds to
-    /// `d_weights`, and to the cotangents of the positions if given.
+    /// `d_weights`, and to the cotangents `d_txs` of the positions if given.
     pub(super) fn tx_sides_vjp(
         &self,
         weights: &[Real],
@@ -83,7 +84,7 @@ impl Branch {
         }
     }
 
-    /// Runs the branch for a chunk and one transmitter into `scratch.out`; `from_feature` is W·feature of `sig.0`.
+    /// Runs the branch for a chunk and one transmitter into `scratch.out`; `from_feature` `[width, R]` is W·feature of `sig.0`.
     pub(super) fn forward(
         &self,
         weights: &[Real],
@@ -105,8 +106,9 @@ impl Branch {
         self.out.apply(weights, second, out);
     }
 
-    /// Runs the backward pass of [`Self::forward`], whose activations are in `scratch`. Adds to the cotangents of the
-    /// weights, the folded bias `[width]`, `from_feature`, and the centres and the transmitter if requested.
+    /// Runs the backward pass of [`Self::forward`], whose activations are in `scratch`, with the cotangent in `scratch.out`.
+    /// Adds to the cotangents of the weights, the folded bias `[width]`, `from_feature`, and if requested of the centres and,
+    /// through X - p only, of the transmitter.
     #[allow(clippy::too_many_arguments)] // the two ends of the derivative
     pub(super) fn vjp(
         &self,

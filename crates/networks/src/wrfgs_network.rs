@@ -1,8 +1,8 @@
 //! Forward and backward pass of [`super::Wrfgs`], chunk by chunk; the output is S·A, without the gain.
 //!
 //! ```text
-//! γ(X) → trunk.0 … trunk.7 ┬→ attn (2 → A = |lrelu|)      (once per Gaussian)
-//!                          └→ feat → signal branch → S    (once per Gaussian and transmitter, see `wrfgs_branch`)
+//! γ(X) → trunk.0 … trunk.{depth-1} ┬→ attn (2 → A = |lrelu|)      (once per Gaussian)
+//!                                  └→ feat → signal branch → S    (once per Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
 #[cfg(feature = "gpu")]
@@ -64,8 +64,8 @@ struct GradientSum {
 }
 
 impl WrfgsLayers {
-    /// Computes the values of a chunk that do not depend on the transmitter. `slots` is 2 for predictions, or the number of
-    /// trunk layers for the backward pass.
+    /// Returns the values of a chunk that do not depend on the transmitter; activations stay in `scratch`. `slots` is 2 for
+    /// predictions, or the number of trunk layers for the backward pass.
     fn run_trunk(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> TrunkOutput {
         let Scratch { gamma, shared, feature, .. } = scratch;
         let (rows, width, frequencies) = (means.len(), self.trunk.width, self.branch.frequencies);
@@ -105,11 +105,15 @@ impl WrfgsLayers {
         }
     }
 
+    /// Returns the chunks of `n` Gaussians: the rows of the items. Each chunk is processed for all transmitters.
+    fn chunks(&self, n: usize) -> Vec<Item> {
+        work_items(n, 1, self.trunk.width)
+    }
+
     /// Returns [`TrunkOutput`] of every chunk.
     pub(super) fn trunk_outputs(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<TrunkOutput> {
-        let items = work_items(means.len(), 1, self.trunk.width);
-        let begin = |scratch: &mut Scratch, item: &Item| self.run_trunk(weights, &means[item.rows.clone()], 2, scratch);
-        items.par_iter().map_init(Scratch::default, begin).collect()
+        let one = |scratch: &mut Scratch, item: &Item| self.run_trunk(weights, &means[item.rows.clone()], 2, scratch);
+        self.chunks(means.len()).par_iter().map_init(Scratch::default, one).collect()
     }
 
     /// Returns the four outputs before |lrelu| in the order of the reference data: two of `attn`, two of `out`.
@@ -132,8 +136,7 @@ impl WrfgsLayers {
         trunk_output: Option<&[TrunkOutput]>,
     ) -> Vec<Real> {
         let sides = self.branch.tx_sides(weights, txs);
-        let pieces: Vec<Vec<Real>> = work_items(means.len(), 1, self.trunk.width)
-            .par_iter()
+        let pieces: Vec<Vec<Real>> = (self.chunks(means.len()).par_iter())
             .enumerate()
             .map_init(Scratch::default, |scratch, (chunk, item)| {
                 let means = &means[item.rows.clone()];
@@ -142,8 +145,9 @@ impl WrfgsLayers {
                 let mut products = Vec::with_capacity(means.len() * txs.len());
                 for (tx, side) in txs.iter().zip(&sides) {
                     self.branch.forward(weights, means, &trunk_output.from_feature, *tx, side, &mut scratch.branch);
-                    let both = scratch.branch.out.iter().zip(&trunk_output.attenuation).take(means.len());
-                    products.extend(both.map(|(&s, &a)| amplitude(s) * amplitude(a)));
+                    let pairs = scratch.branch.out.iter().zip(&trunk_output.attenuation);
+                    let magnitudes = pairs.take(means.len()); // phases follow
+                    products.extend(magnitudes.map(|(&s, &a)| amplitude(s) * amplitude(a)));
                 }
                 products
             })
@@ -158,14 +162,13 @@ impl WrfgsLayers {
         products
     }
 
-    /// Runs the backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `sums`; returns Σ d·S·A.
+    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` `[B, N]`: adds to `sums`; returns Σ d·S·A.
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &[Real], sums: &mut DeformationVjp<'_>) -> f64 {
         let DeformationInputs { weights, means, .. } = *inputs;
         let DeformationVjp { weights: d_weights, means: d_means, positions: d_txs } = sums;
         let txs = inputs.txs.positions();
         let sides = self.branch.tx_sides(weights, txs);
-        let items = work_items(means.len(), 1, self.trunk.width);
-        let parts = sum_groups(&items, d_weights, |items, d_weights| {
+        let parts = sum_groups(&self.chunks(means.len()), d_weights, |items, d_weights| {
             let mut sum = GradientSum {
                 folded: vec![0.0; txs.len() * self.trunk.width],
                 trunk_biases: self.trunk.zero_joints(self.trunk.width),
@@ -188,13 +191,13 @@ impl WrfgsLayers {
             }
         }
         if let Some(d_means) = d_means {
-            let of_items = parts.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied();
-            dense::add_assign(d_means.as_flattened_mut(), &of_items.collect::<Vec<_>>());
+            let numbers = parts.iter().flat_map(|sum| sum.means.iter().flatten().flatten()).copied();
+            dense::add_assign(d_means.as_flattened_mut(), &numbers.collect::<Vec<_>>());
         }
         parts.iter().map(|part| part.along_gain).sum()
     }
 
-    /// Runs the backward pass of one chunk for all transmitters, given the cotangents `d` of the outputs; recomputes its
+    /// Runs the backward pass of one chunk for all transmitters, given the cotangents `d` `[B, N]` of S·A; recomputes its
     /// forward pass first, and adds to `d_weights` and `sum`.
     fn item_vjp(
         &self,

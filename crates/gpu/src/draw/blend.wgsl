@@ -3,6 +3,7 @@
 
 const PART: u32 = 10u; // derivatives of a splat in a tile: those of GEOMETRY, and two of the signal
 
+// Splat i with its signal for a transmitter.
 struct Splat { mean: vec2f, opacity: f32, existence: f32, conic: vec3f, signal: vec2f }
 fn splat_at(i: u32, link: u32) -> Splat {
   let o = i * SPLAT; let at = (i * s.links + link) * s.channels;
@@ -11,6 +12,7 @@ fn splat_at(i: u32, link: u32) -> Splat {
   return Splat(vec2f(A[o], A[o + 1u]), A[o + 5u], A[o + 6u], vec3f(A[o + 2u], A[o + 3u], A[o + 4u]), signal);
 }
 
+// Returns the first pixel of a tile.
 fn corner_of(tile: u32) -> vec2f { return vec2f(f32(tile % s.columns * SIDE), f32(tile / s.columns * SIDE)); }
 
 // Wraps a column offset to the nearest copy on an image that wraps.
@@ -25,6 +27,7 @@ fn touches(mean: vec2f, half: vec2f, corner: vec2f) -> bool {
   return abs(nearest(middle.x)) <= half.x + 7.5 && abs(middle.y) <= half.y + 7.5;
 }
 
+// Splat p at the pixel `here`.
 struct Drawn { offset: vec2f, gauss: f32, alpha: f32 } // alpha without the existence factor
 fn draw_at(p: Splat, here: vec2f) -> Drawn {
   let d = vec2f(nearest(p.mean.x - here.x), p.mean.y - here.y);

@@ -15,6 +15,7 @@ fn per_radian() -> vec2f { return vec2f(H[12], H[13]); }
 fn view_rotation() -> mat3x3f { return mat3x3f(H[0], H[3], H[6], H[1], H[4], H[7], H[2], H[5], H[8]); }
 fn sampled() -> vec3f { return vec3f(H[19], H[20], H[21]); } // stride and offsets
 
+// Gaussian i after activation: scales and rotation without (`base`, `unit`) and with the terms (`scale`, `sum`, `rotation`).
 struct Active { base: vec3f, scale: vec3f, unit: vec4f, sum: vec4f, rotation: vec4f, opacity: f32, gate: f32 }
 
 fn vec3_of(i: u32) -> vec3f { return vec3f(A[i], A[i + 1u], A[i + 2u]); }
@@ -49,6 +50,7 @@ fn activate(i: u32) -> Active {
   return a;
 }
 
+// Returns the rotation matrix of a unit quaternion, and its derivative.
 fn matrix_of(q: vec4f) -> mat3x3f {
   let w = q.x; let x = q.y; let y = q.z; let z = q.w;
   return mat3x3f(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
@@ -78,12 +80,14 @@ fn angle(y: f32, x: f32) -> f32 {
   return select(a, -a, y < 0.0);
 }
 
+// Distances from the vertical axis and from the receiver, and whether the azimuth is defined.
 struct Centre { rho: f32, r: f32, off_axis: bool }
 fn centre_of(v: vec3f) -> Centre {
   let rho = sqrt(v.x * v.x + v.y * v.y); let r = length(v);
   return Centre(rho, r, rho > ON_AXIS * r);
 }
 
+// Returns column and row on the whole image.
 fn pixel_of(v: vec3f, c: Centre) -> vec2f {
   let k = per_radian();
   let row = angle(v.z, select(0.0, c.rho, c.off_axis)) * k.y - H[15];
@@ -92,11 +96,13 @@ fn pixel_of(v: vec3f, c: Centre) -> vec2f {
   return vec2f(select(column, 0.0, column >= H[14]), row);
 }
 
+// Gradients of the azimuth, times rho², and of the elevation.
 fn azimuth_slope(v: vec3f) -> vec3f { return vec3f(-v.y, v.x, 0.0); }
 fn elevation_slope(v: vec3f, c: Centre) -> vec3f {
   return vec3f(-v.z * v.x / c.rho, -v.z * v.y / c.rho, c.rho) / (c.r * c.r);
 }
 
+// Returns the gradients of column and row by the position, and their backward pass.
 struct Rows { column: vec3f, row: vec3f }
 fn jacobian(v: vec3f, c: Centre) -> Rows {
   let k = per_radian();
@@ -129,6 +135,7 @@ fn jacobian_vjp(v: vec3f, c: Centre, d: Rows) -> vec3f {
   return around * k.x + up * k.y;
 }
 
+// Gaussian i on the image. v is its centre in the frame of the view; cov has the entries xx, xy, yy.
 struct Projected {
   v: vec3f, centre: Centre, t0: vec3f, t1: vec3f, u0: vec3f, u1: vec3f, turn: mat3x3f, scale: vec3f, cov: vec3f, det: f32,
   pixel: vec2f, radius: f32,    // on the whole image; radius 0 if it is not drawn

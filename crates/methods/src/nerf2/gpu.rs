@@ -149,7 +149,7 @@ impl GpuNerf2<'_> {
         for rays in &chunks {
             let chunk = self.chunk(rays.len(), false);
             let len = self.network.width() * chunk.on.rows;
-            let Some(buffer) = self.gpu.keep(len) else { return Ok(None) };
+            let Some(buffer) = self.gpu.create_kept_buffer(len) else { return Ok(None) };
             self.run_trunk(&mut step, chunk, &group.walk.rays.points(rays.clone()));
             step.read(ATTENUATION, 0, self.network.outputs * chunk.on.rows);
             step.save(FROM_FEATURE, len, &buffer);

@@ -7,6 +7,7 @@ use crate::dense;
 use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, WEIGHTS, chunk_rows, encode_chunk};
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Deltas, Error, Real, Result};
 use pwrfgs_gpu::{Epilogue, Gpu, GpuStep};
+use std::ops::Range;
 
 /// Slot of the outputs of the heads `[outputs, R]`, and of their cotangents.
 const OUT: usize = NETWORK;
@@ -21,24 +22,30 @@ impl MlpLayers {
         GpuTrunk { trunk: &self.trunk, rows, first: OUT + 1, slots }
     }
 
-    /// Returns the sizes of all slots for a trunk with its chunk.
+    /// Returns the sizes of all slots for a trunk with its chunk, so many `weights`, and a `batch` of transmitters.
     fn gpu_sizes(&self, on: GpuTrunk<'_>, weights: usize, batch: usize, is_derived: bool) -> Vec<usize> {
         let mut sizes = on.sizes(weights, batch, self.heads.outputs, is_derived);
-        sizes.push(self.heads.outputs * on.rows);
+        sizes.push(self.heads.outputs * on.rows); // slot [`OUT`]
         sizes.resize(on.first + on.slots, self.trunk.width * on.rows);
         sizes
     }
 
-    /// Returns the most rows of a chunk.
+    /// Returns the maximum number of rows per chunk.
     fn most_rows(&self, gpu: &Gpu) -> usize {
         chunk_rows(gpu, self.trunk.width, crate::encoding::encoded_width(self.position_frequencies))
     }
 
-    /// Returns the terms of all Gaussians and transmitters, as [`Self::forward`]; with `is_kept`, the GPU keeps the
-    /// activations of the last chunk and transmitter for the derivative.
+    /// Uploads γ of the centres of a chunk and computes W·γ, which all transmitters share.
+    fn gpu_share_means(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, means: &[[Real; 3]]) {
+        step.upload(GAMMA, 0, &encode_chunk(means, self.position_frequencies));
+        on.share_gamma(step);
+    }
+
+    /// Returns the terms of all Gaussians and transmitters, as [`Self::forward`]; if `is_kept`, the GPU keeps the activations
+    /// of the last chunk and transmitter for the derivative.
     ///
     /// # Errors
-    /// The GPU failed.
+    /// The GPU failed, or its memory does not suffice.
     pub(crate) fn gpu_forward(
         &self,
         gpu: &Gpu,
@@ -54,8 +61,7 @@ impl MlpLayers {
         step.upload(WEIGHTS, 0, weights);
         for means in means.chunks(most) {
             let on = self.on_gpu(means.len(), is_kept);
-            step.upload(GAMMA, 0, &encode_chunk(means, self.position_frequencies));
-            on.share_gamma(&mut step);
+            self.gpu_share_means(&mut step, on, means);
             for side in &sides {
                 on.upload_folded(&mut step, &side.folded);
                 on.forward(&mut step);
@@ -65,7 +71,7 @@ impl MlpLayers {
                 step.send();
             }
         }
-        let outputs = step.finish()?;
+        let outputs = step.finish()?; // all transmitters of a chunk, then the next chunk
         let mut terms = Deltas::default();
         for b in 0..sides.len() {
             let tx_chunks = outputs.iter().skip(b).step_by(sides.len());
@@ -78,7 +84,7 @@ impl MlpLayers {
     /// activations may still be on the GPU.
     ///
     /// # Errors
-    /// The GPU failed; `sums` are then unchanged.
+    /// The GPU failed, or its memory does not suffice; `sums` are then unchanged.
     pub(crate) fn gpu_vjp(
         &self,
         gpu: &Gpu,
@@ -102,8 +108,7 @@ impl MlpLayers {
         for means in means.chunks(most) {
             let on = self.on_gpu(means.len(), true);
             if !is_kept {
-                step.upload(GAMMA, 0, &encode_chunk(means, self.position_frequencies));
-                on.share_gamma(&mut step);
+                self.gpu_share_means(&mut step, on, means);
             }
             on.clear_shared(&mut step);
             for (b, side) in sides.iter().enumerate().rev() {
@@ -112,9 +117,7 @@ impl MlpLayers {
                     on.forward(&mut step);
                 }
                 let start = b * inputs.means.len() + first;
-                let mut out = vec![0.0; self.heads.outputs * means.len()];
-                self.scatter_cotangents(d, start..start + means.len(), &mut out);
-                self.gpu_heads_vjp(&mut step, on, &out);
+                self.gpu_heads_vjp(&mut step, on, d, start..start + means.len());
                 on.backward(&mut step, [b * width, (batch + b) * width]);
             }
             on.share_gamma_vjp(&mut step, None);
@@ -129,9 +132,12 @@ impl MlpLayers {
         Ok(())
     }
 
-    /// Runs the backward pass of the heads for a chunk, given the cotangents of their outputs.
-    fn gpu_heads_vjp(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, d_out: &[Real]) {
-        step.upload(OUT, 0, d_out);
+    /// Runs the backward pass of the heads for a chunk and a transmitter, given the cotangents `d` of all terms `[B, N]` and
+    /// the range of `terms` of the chunk. Sets slot [`D`].
+    fn gpu_heads_vjp(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, d: &Deltas, terms: Range<usize>) {
+        let mut d_out = vec![0.0; self.heads.outputs * on.rows];
+        self.scatter_cotangents(d, terms, &mut d_out);
+        step.upload(OUT, 0, &d_out);
         on.weight_vjp(step, &self.heads.whole(), on.last(), on.chunk(OUT));
         step.add_row_sums((self.heads.outputs, on.rows), (OUT, 0), (D_WEIGHTS, self.heads.bias));
         let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };

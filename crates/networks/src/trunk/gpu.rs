@@ -43,6 +43,7 @@ pub struct GpuTrunk<'a> {
 /// Returns the number of rows per chunk for layers of `width` units with inputs of up to `inputs` components.
 pub fn chunk_rows(gpu: &Gpu, width: usize, inputs: usize) -> usize {
     let widest = width.max(inputs);
+    // Numbers per row of the largest buffers: values of a layer, and partial sums of its derivative in slot [`SCRATCH`].
     gpu.chunk_rows(widest.max((width * widest).div_ceil(SLICE)))
 }
 
@@ -124,31 +125,31 @@ impl GpuTrunk<'_> {
         step.product((outputs, self.rows, inputs), part.block(WEIGHTS), self.chunk(x), self.chunk(y), epilogue);
     }
 
-    /// Adds the derivative by W of [`Self::apply`], given `x` and the cotangent `d_y`.
+    /// Adds the derivative by W of [`Self::apply`] to slot [`D_WEIGHTS`], given slot `x` and the cotangent `d_y`.
     pub fn weight_vjp(&self, step: &mut GpuStep<'_>, part: &LayerPart, x: usize, d_y: Block) {
         step.add_gradient(part.shape(), self.rows, d_y, self.chunk(x).t(), part.block(D_WEIGHTS));
     }
 
-    /// Computes the cotangent of `x` of [`Self::apply`] in slot `d_x`, with the `epilogue`.
+    /// Computes the cotangent of x of [`Self::apply`] in slot `d_x`, with the `epilogue`, given the cotangent `d_y`.
     pub fn input_vjp(&self, step: &mut GpuStep<'_>, part: &LayerPart, d_y: Block, d_x: usize, epilogue: Epilogue) {
         let (outputs, inputs) = part.shape();
         step.product((inputs, self.rows, outputs), part.block(WEIGHTS).t(), d_y, self.chunk(d_x), epilogue);
     }
 
-    /// Writes the folded biases of a transmitter.
+    /// Writes the folded biases of a transmitter to slot [`FOLDED`]: `joined` after `first`.
     pub fn upload_folded(&self, step: &mut GpuStep<'_>, folded: &Joints) {
         step.upload(FOLDED, 0, &folded.first);
         step.upload(FOLDED, self.trunk.width, &folded.joined);
     }
 
-    /// Computes W·γ of the layers with input γ.
+    /// Computes W·γ of the layers with inputs γ and e, from slot [`GAMMA`].
     pub fn share_gamma(&self, step: &mut GpuStep<'_>) {
         for (layer, shared) in self.trunk.joints().zip(SHARED) {
             self.apply(step, &layer.part(0..self.trunk.gamma), GAMMA, shared, Epilogue::default());
         }
     }
 
-    /// Runs all layers for the transmitter of the folded biases.
+    /// Runs all layers for the transmitter whose biases are in slot [`FOLDED`], after [`Self::share_gamma`].
     pub fn forward(&self, step: &mut GpuStep<'_>) {
         let &Self { trunk, rows, .. } = self;
         step.bias_relu((trunk.width, rows), SHARED[0], (FOLDED, 0), self.hidden(0));
@@ -190,7 +191,8 @@ impl GpuTrunk<'_> {
         }
     }
 
-    /// Runs the backward pass of [`Self::share_gamma`]; sets the cotangent of γ in slot `d_gamma`, if given.
+    /// Runs the backward pass of [`Self::share_gamma`]: adds to slot [`D_WEIGHTS`], and sets the cotangent of γ in slot
+    /// `d_gamma`, if given.
     pub fn share_gamma_vjp(&self, step: &mut GpuStep<'_>, d_gamma: Option<usize>) {
         for (j, layer) in self.trunk.joints().enumerate() {
             let part = layer.part(0..self.trunk.gamma);

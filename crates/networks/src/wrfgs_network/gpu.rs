@@ -51,12 +51,12 @@ impl WrfgsLayers {
         encoded_width(self.branch.frequencies)
     }
 
-    /// Returns the most rows of a chunk.
+    /// Returns the maximum number of rows per chunk.
     fn most_rows(&self, gpu: &Gpu) -> usize {
         chunk_rows(gpu, self.trunk.width, self.encoded())
     }
 
-    /// Returns the first output, which alone is used, of the heads of the attenuation and of the signal.
+    /// Returns the heads of attenuation and signal with their first output, which alone is used.
     fn first_outputs(&self) -> [LayerPart; 2] {
         [&self.attenuation, &self.branch.out].map(|layer| layer.with_outputs(1).whole())
     }
@@ -74,7 +74,7 @@ impl WrfgsLayers {
         let width = self.trunk.width;
         let rows = n.min(self.most_rows(gpu));
         let on = self.on_gpu(rows, derived.is_some());
-        // The slots of three outputs of heads hold the derivatives by positions.
+        // Sums of the three rows of offsets need as much of slot `SCRATCH` as heads with three outputs.
         let mut sizes = on.sizes(weights.len(), 1, 3, derived.is_some());
         sizes.resize(FIRST, 1);
         let (chunk, encoded) = (width * rows, self.encoded() * rows);
@@ -96,10 +96,10 @@ impl WrfgsLayers {
         Ok(step)
     }
 
-    /// Computes the trunk outputs for predictions; `None` if the memory of the GPU does not suffice for them.
+    /// Computes the trunk outputs for predictions; `None` if the memory of the GPU does not suffice to keep them.
     ///
     /// # Errors
-    /// The GPU failed.
+    /// The GPU failed, or its memory does not suffice for a step.
     pub(crate) fn gpu_prepare(
         &self,
         gpu: &Gpu,
@@ -110,7 +110,7 @@ impl WrfgsLayers {
         let mut buffers = Vec::new();
         for means in means.chunks(self.most_rows(gpu)) {
             let (on, len) = (self.on_gpu(means.len(), false), self.trunk.width * means.len());
-            let Some(buffer) = gpu.keep(len) else { return Ok(None) };
+            let Some(buffer) = gpu.create_kept_buffer(len) else { return Ok(None) };
             self.gpu_trunk(&mut step, on, means);
             step.read(ATTENUATION, 0, means.len());
             step.save(FROM_FEATURE, len, &buffer);
@@ -119,7 +119,7 @@ impl WrfgsLayers {
         Ok(Some(GpuTrunkOutput(step.finish()?.into_iter().zip(buffers).collect())))
     }
 
-    /// Runs the trunk for the centres of a chunk.
+    /// Runs the trunk for the centres of a chunk: sets slots [`ATTENUATION`], [`FEATURE`] and [`FROM_FEATURE`].
     fn gpu_trunk(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, means: &[[Real; 3]]) {
         step.upload(GAMMA, 0, &encode_chunk(means, self.branch.frequencies));
         on.share_gamma(step);
@@ -130,7 +130,7 @@ impl WrfgsLayers {
         on.apply(step, &self.branch.first_layer_parts()[0], FEATURE, FROM_FEATURE, Epilogue::default());
     }
 
-    /// Runs the signal branch of a chunk for a transmitter.
+    /// Runs the signal branch of a chunk for a transmitter, from slot [`FROM_FEATURE`]: sets slot [`SIGNAL`].
     fn gpu_branch(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, means: &[[Real; 3]], tx: [Real; 3], side: &TxSide) {
         let offsets: Vec<[Real; 3]> = means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])).collect();
         step.upload(OFFSET, 0, &encode_chunk(&offsets, self.branch.frequencies));
@@ -147,7 +147,7 @@ impl WrfgsLayers {
     /// Returns S·A, `[B, N]`, as [`Self::forward`], from the result of [`Self::gpu_prepare`] if given.
     ///
     /// # Errors
-    /// The GPU failed.
+    /// The GPU failed, or its memory does not suffice.
     pub(crate) fn gpu_forward(
         &self,
         gpu: &Gpu,
@@ -171,6 +171,7 @@ impl WrfgsLayers {
                 step.send();
             }
         }
+        // Per chunk: attenuations, none if they are prepared, then the signals of each transmitter.
         let results = step.finish()?;
         let mut products = Vec::with_capacity(means.len() * txs.len());
         for b in 1..=txs.len() {
@@ -185,7 +186,7 @@ impl WrfgsLayers {
     /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`]; returns Σ d·S·A.
     ///
     /// # Errors
-    /// The GPU failed; `sums` are then unchanged.
+    /// The GPU failed, or its memory does not suffice; `sums` are then unchanged.
     pub(crate) fn gpu_vjp(
         &self,
         gpu: &Gpu,
@@ -226,8 +227,8 @@ impl WrfgsLayers {
         Ok(self.add_results(inputs, &sides, step.finish()?, self.most_rows(gpu), sums))
     }
 
-    /// Adds the `results` of [`Self::gpu_vjp`] to `sums`: two per chunk of `most_rows` centres, then those of all chunks.
-    /// Returns Σ d·S·A.
+    /// Adds the `results` of [`Self::gpu_vjp`] to `sums`: two per chunk of `most_rows` centres, d·S·A and derivatives by
+    /// the centres, then four of all chunks. Returns Σ d·S·A.
     fn add_results(
         &self,
         inputs: &DeformationInputs<'_>,
@@ -243,6 +244,7 @@ impl WrfgsLayers {
         let positions = sums.positions.as_deref_mut();
         self.branch.tx_sides_vjp(inputs.weights, sides, &d_sides, sums.weights, positions);
         if let Some(positions) = &mut sums.positions {
+            // Those by the offsets X - p.
             positions.as_flattened_mut().iter_mut().zip(&d_txs).for_each(|(sum, d)| *sum -= d);
         }
         if let Some(d_means) = &mut sums.means {

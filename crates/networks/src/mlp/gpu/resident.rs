@@ -48,7 +48,8 @@ impl ResidentMlp {
     /// Slot of their derivatives.
     pub const D_WEIGHTS: usize = D_WEIGHTS;
 
-    /// Returns whether the weights of a network can stay on the GPU.
+    /// Returns whether the weights of a network can stay on the GPU: it has all outputs, no carrier, and few enough
+    /// frequencies for centres.
     pub fn supports(mlp: &Mlp) -> bool {
         mlp.outputs == Outputs::All && mlp.carrier == 0.0 && mlp.position_frequencies <= MOST_FREQUENCIES
     }
@@ -75,11 +76,12 @@ impl ResidentMlp {
         let rows = self.gaussians.min(self.most);
         let mut sizes = self.chunk(rows).sizes(self.weights, 1, heads.outputs, true);
         let [tx_hidden, tx_features] = branch.layers.map(|layer| layer.outputs);
-        let widest = |layer: Linear| layer.outputs * layer.inputs;
-        let needed = branch.layers.map(widest).into_iter().chain([trunk.width * tx_features]).max().unwrap_or(0);
+        // Partial sums: of derivatives by weights of the branch and of e over one transmitter, of bias sums over all Gaussians.
+        let weights = |layer: Linear| layer.outputs * layer.inputs;
+        let needed = branch.layers.map(weights).into_iter().chain([trunk.width * tx_features]).max().unwrap_or(0);
         sizes[SCRATCH] = sizes[SCRATCH].max(needed).max(scratch_len(self.gaussians, heads.outputs));
         sizes[WEIGHTS] = 3 * self.weights;
-        sizes.extend([tx_hidden, tx_hidden, tx_features, tx_features]);
+        sizes.extend([tx_hidden, tx_hidden, tx_features, tx_features]); // slots [`HIDDEN`] and [`FEATURES`]
         sizes.resize(FIRST + trunk.depth(), trunk.width * rows);
         sizes
     }
@@ -101,7 +103,7 @@ impl ResidentMlp {
         gamma
     }
 
-    /// Begins a step: sets derivatives to zero, and computes what all transmitters share.
+    /// Begins a step: sets derivatives to zero, and computes W·γ for all transmitters if all Gaussians are one chunk.
     pub fn begin(&self, step: &mut GpuStep<'_>) {
         step.clear(D_WEIGHTS, self.weights);
         if let Some(rows) = self.lone_chunk() {
@@ -131,13 +133,13 @@ impl ResidentMlp {
             on.forward(step);
             let bias = Epilogue { bias: Some((WEIGHTS, heads.bias)), ..Epilogue::default() };
             let (outputs, inputs) = heads.whole().shape();
-            let out = self.part_of(self.slots.heads, &rows);
+            let out = self.chunk_columns(self.slots.heads, &rows);
             step.product((outputs, rows.len(), inputs), heads.whole().block(WEIGHTS), on.chunk(on.last()), out, bias);
         }
     }
 
-    /// Adds the derivatives by the weights for this transmitter, given the cotangents of the outputs. Follows its
-    /// [`Self::forward`], whose activations it uses if all Gaussians are one chunk.
+    /// Adds the derivatives by the weights for the transmitter at offset `tx` of the inputs, given the cotangents of the
+    /// outputs. Follows its [`Self::forward`], whose activations it uses if all Gaussians are one chunk.
     pub fn backward(&self, step: &mut GpuStep<'_>, tx: usize) {
         let MlpLayers { trunk, heads, .. } = &self.network;
         step.clear(D_FOLDED, 2 * trunk.width);
@@ -147,7 +149,7 @@ impl ResidentMlp {
                 self.share_means(step, rows.clone());
                 on.forward(step);
             }
-            let d_out = self.part_of(self.slots.d_heads, &rows);
+            let d_out = self.chunk_columns(self.slots.d_heads, &rows);
             on.weight_vjp(step, &heads.whole(), on.last(), d_out);
             on.input_vjp(step, &heads.whole(), d_out, D, Epilogue { mask: Some(on.last()), ..Epilogue::default() });
             on.backward(step, [0, trunk.width]);
@@ -159,14 +161,15 @@ impl ResidentMlp {
         self.branch_vjp(step, tx);
     }
 
-    /// Ends a step: adds the derivatives by the weights that all transmitters share.
+    /// Ends a step: adds the derivatives by the weights of W·γ, which [`Self::backward`] leaves out if all Gaussians are one
+    /// chunk.
     pub fn end(&self, step: &mut GpuStep<'_>) {
         if let Some(rows) = self.lone_chunk() {
             self.chunk(rows.len()).share_gamma_vjp(step, None);
         }
     }
 
-    /// Adds the derivatives by the weights of the transmitter branch, given those of the folded biases.
+    /// Adds the derivatives by the weights of the transmitter branch and of e, given the cotangents of the folded biases.
     fn branch_vjp(&self, step: &mut GpuStep<'_>, tx: usize) {
         let MlpLayers { trunk, branch, .. } = &self.network;
         let [first, second] = &branch.layers;
@@ -211,12 +214,12 @@ impl ResidentMlp {
     }
 
     /// Returns the columns of a chunk in a slot `[9, N]`.
-    fn part_of(&self, slot: usize, rows: &Range<usize>) -> Block {
+    fn chunk_columns(&self, slot: usize, rows: &Range<usize>) -> Block {
         Block::new(slot, rows.start, self.gaussians)
     }
 }
 
-/// Returns numbers of a slot as a matrix of one column.
+/// Returns the numbers of a slot from `start` on as a matrix of one column.
 fn column(slot: usize, start: usize) -> Block {
     Block::new(slot, start, 1)
 }
