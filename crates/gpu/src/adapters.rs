@@ -69,7 +69,7 @@ pub(crate) fn adapters() -> Vec<Adapter> {
     let instance = wgpu::Instance::new(InstanceDescriptor {
         backends: Backends::PRIMARY,
         memory_budget_thresholds: wgpu::MemoryBudgetThresholds {
-            for_resource_creation: Some(97), // percent: rather an error than memory of the CPU, which is slow
+            for_resource_creation: Some(97), // percent; beyond it an error, instead of memory of the CPU, which is slow
             for_device_loss: None,
         },
         ..InstanceDescriptor::new_without_display_handle()
@@ -160,8 +160,8 @@ pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: boo
         let short = name.split(" (").next().unwrap_or(name);
         format!("only {short}, a software GPU slower than the CPU, was found")
     };
-    let usable = |line: &GpuLine| admits_software || !line.is_software;
-    let first = lines.iter().position(usable);
+    let is_usable = |line: &GpuLine| admits_software || !line.is_software;
+    let first = lines.iter().position(is_usable);
     match choice {
         DeviceChoice::Cpu => Ok(None),
         DeviceChoice::Auto => Ok(first),
@@ -175,7 +175,7 @@ pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: boo
             }
         },
         DeviceChoice::Number(number) => match lines.get(number) {
-            Some(line) if usable(line) => Ok(Some(number)),
+            Some(line) if is_usable(line) => Ok(Some(number)),
             Some(line) => Err(format!("{} is a software GPU slower than the CPU; see `pwrfgs devices`", line.name)),
             None => Err(format!(
                 "{} found; see `pwrfgs devices`",

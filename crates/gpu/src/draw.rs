@@ -248,8 +248,8 @@ impl Gpu {
     }
 }
 
-/// Returns the number of entries of tile lists that buffers hold, at least [`FIRST_ENTRIES`], for a drawing with the `first`
-/// slot.
+/// Returns the number of entries of tile lists that buffers hold, at least [`FIRST_ENTRIES`], for a drawing whose first slot
+/// is `first`.
 fn list_capacity(workspace: &Mutex<Workspace>, first: usize) -> usize {
     let workspace = workspace.lock().unwrap_or_else(PoisonError::into_inner);
     let bytes = workspace.buffers.get(first + PARTS).map_or(0, |buffer| buffer.size() as usize);

@@ -188,6 +188,7 @@ impl Encoding {
                 Err(format!("{field}: reach is {reach}; give rad/m above 0, about 2π over the wavelength"))
             }
             Self::Wavelengths { count, longest_m, shortest_m, .. } => {
+                // Three waves per wavelength.
                 if count > WIDEST / 3 {
                     return Err(format!("{field}: count is {count}; give a number from 0 to {}", WIDEST / 3));
                 }

@@ -30,7 +30,7 @@ impl FactoredLayers {
             (0..txs.len()).step_by(GROUP).map(|first| first..(first + GROUP).min(txs.len())).collect();
         let layers: Vec<Vec<Vec<Real>>> =
             groups.par_iter().map(|group| self.run_stack(weights, txs.rows(group.clone()))).collect();
-        let mixed: Vec<WaveMixture> = mixed.chunks(GROUP).map(WaveMixture::joined).collect();
+        let mixed: Vec<WaveMixture> = mixed.chunks(GROUP).map(WaveMixture::join).collect();
         let d_mixed = self.tiles_vjp(basis, &groups, &mixed, d, sums.means);
         let mut d_txs = sums.positions.map(|d_txs| d_txs.chunks_mut(GROUP));
         let d_tx_parts: Vec<Option<&mut [[Real; 3]]>> =

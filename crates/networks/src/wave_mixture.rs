@@ -26,7 +26,7 @@ impl WaveMixture {
     }
 
     /// Joins the coefficients of single transmitters: `[waves, 1]` each, into `[waves, B]`.
-    pub(super) fn joined(each: &[Self]) -> Self {
+    pub(super) fn join(each: &[Self]) -> Self {
         let waves = each.first().map_or(0, |mixed| mixed.waves[0].len());
         Self {
             waves: [0, 1].map(|c| (0..waves).flat_map(|k| each.iter().map(move |mixed| mixed.waves[c][k])).collect()),

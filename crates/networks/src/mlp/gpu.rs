@@ -17,7 +17,7 @@ pub(crate) struct KeptStep(u64);
 
 impl MlpLayers {
     /// Returns the trunk for chunks of `rows` rows; for a backward pass (`is_derived`) each layer has a slot.
-    fn on_gpu(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
+    fn gpu_chunk(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
         let slots = if is_derived { self.trunk.depth() } else { 2 };
         GpuTrunk { trunk: &self.trunk, rows, first: OUT + 1, slots }
     }
@@ -55,12 +55,12 @@ impl MlpLayers {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.branch.tx_sides(weights, &self.trunk, txs);
         let most = self.most_rows(gpu);
-        let sizes = self.gpu_sizes(self.on_gpu(means.len().min(most), is_kept), weights.len(), sides.len(), is_kept);
+        let sizes = self.gpu_sizes(self.gpu_chunk(means.len().min(most), is_kept), weights.len(), sides.len(), is_kept);
         let mut step = gpu.step(&sizes)?;
         let number = step.number();
         step.upload(WEIGHTS, 0, weights);
         for means in means.chunks(most) {
-            let on = self.on_gpu(means.len(), is_kept);
+            let on = self.gpu_chunk(means.len(), is_kept);
             self.gpu_share_means(&mut step, on, means);
             for side in &sides {
                 on.upload_folded(&mut step, &side.folded);
@@ -96,7 +96,7 @@ impl MlpLayers {
         let kept = inputs.kept.as_ref().and_then(|kept| kept.downcast_ref::<KeptStep>());
         let sides = self.branch.tx_sides(weights, &self.trunk, txs);
         let (most, width, batch) = (self.most_rows(gpu), self.trunk.width, sides.len());
-        let sizes = self.gpu_sizes(self.on_gpu(means.len().min(most), true), weights.len(), batch, true);
+        let sizes = self.gpu_sizes(self.gpu_chunk(means.len().min(most), true), weights.len(), batch, true);
         let mut step = gpu.step(&sizes)?;
         let is_kept = means.len() <= most && kept.is_some_and(|kept| step.follows(kept.0));
         if !is_kept {
@@ -104,9 +104,8 @@ impl MlpLayers {
         }
         step.clear(D_WEIGHTS, weights.len());
         step.clear(D_FOLDED, 2 * width * batch);
-        let mut first = 0;
-        for means in means.chunks(most) {
-            let on = self.on_gpu(means.len(), true);
+        for (chunk, means) in means.chunks(most).enumerate() {
+            let on = self.gpu_chunk(means.len(), true);
             if !is_kept {
                 self.gpu_share_means(&mut step, on, means);
             }
@@ -116,12 +115,11 @@ impl MlpLayers {
                     on.upload_folded(&mut step, &side.folded);
                     on.forward(&mut step);
                 }
-                let start = b * inputs.means.len() + first;
+                let start = b * inputs.means.len() + chunk * most;
                 self.gpu_heads_vjp(&mut step, on, d, start..start + means.len());
                 on.backward(&mut step, [b * width, (batch + b) * width]);
             }
             on.share_gamma_vjp(&mut step, None);
-            first += means.len();
         }
         step.read(D_WEIGHTS, 0, weights.len());
         step.read(D_FOLDED, 0, 2 * width * batch);

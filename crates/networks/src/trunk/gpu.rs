@@ -175,6 +175,7 @@ impl GpuTrunk<'_> {
         let &Self { trunk, rows, .. } = self;
         let (mut d, mut spare) = (D, SPARE);
         for l in (0..trunk.depth()).rev() {
+            // Index of the layer in [`Trunk::joints`].
             let joint = if l == 0 { Some(0) } else { (Some(l) == trunk.joined).then_some(1) };
             let bias = joint.map_or((D_WEIGHTS, trunk.layers[l].bias), |j| (D_FOLDED, folded[j]));
             step.add_row_sums((trunk.width, rows), (d, 0), bias);

@@ -42,18 +42,18 @@ struct Wanted {
 
 impl WrfgsLayers {
     /// Returns the trunk for chunks of `rows` rows; for a backward pass (`is_derived`) each layer has a slot.
-    fn on_gpu(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
+    fn gpu_chunk(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
         GpuTrunk { trunk: &self.trunk, rows, first: FIRST, slots: if is_derived { self.trunk.depth() } else { 2 } }
     }
 
     /// Returns the number of components of every encoding.
-    fn encoded(&self) -> usize {
+    fn encoded_width(&self) -> usize {
         encoded_width(self.branch.frequencies)
     }
 
     /// Returns the maximum number of rows per chunk.
     fn most_rows(&self, gpu: &Gpu) -> usize {
-        chunk_rows(gpu, self.trunk.width, self.encoded())
+        chunk_rows(gpu, self.trunk.width, self.encoded_width())
     }
 
     /// Returns the heads of attenuation and signal with their first output, which alone is used.
@@ -73,11 +73,11 @@ impl WrfgsLayers {
     ) -> Result<GpuStep<'g>> {
         let width = self.trunk.width;
         let rows = n.min(self.most_rows(gpu));
-        let on = self.on_gpu(rows, derived.is_some());
+        let on = self.gpu_chunk(rows, derived.is_some());
         // Sums of the three rows of offsets need as much of slot `SCRATCH` as heads with three outputs.
         let mut sizes = on.sizes(weights.len(), 1, 3, derived.is_some());
         sizes.resize(FIRST, 1);
-        let (chunk, encoded) = (width * rows, self.encoded() * rows);
+        let (chunk, encoded) = (width * rows, self.encoded_width() * rows);
         (sizes[ATTENUATION], sizes[SIGNAL], sizes[SIDE]) = (rows, rows, width);
         (sizes[FEATURE], sizes[FROM_FEATURE], sizes[OFFSET]) = (chunk, chunk, encoded);
         [sizes[HIDDEN[0]], sizes[HIDDEN[1]]] = [chunk, width / 2 * rows];
@@ -109,7 +109,7 @@ impl WrfgsLayers {
         let mut step = self.begin_step(gpu, weights, (means.len(), 0), None)?;
         let mut buffers = Vec::new();
         for means in means.chunks(self.most_rows(gpu)) {
-            let (on, len) = (self.on_gpu(means.len(), false), self.trunk.width * means.len());
+            let (on, len) = (self.gpu_chunk(means.len(), false), self.trunk.width * means.len());
             let Some(buffer) = gpu.create_kept_buffer(len) else { return Ok(None) };
             self.gpu_trunk(&mut step, on, means);
             step.read(ATTENUATION, 0, means.len());
@@ -158,7 +158,7 @@ impl WrfgsLayers {
         let sides = self.branch.tx_sides(inputs.weights, txs);
         let mut step = self.begin_step(gpu, inputs.weights, (means.len(), txs.len()), None)?;
         for (chunk, means) in means.chunks(self.most_rows(gpu)).enumerate() {
-            let on = self.on_gpu(means.len(), false);
+            let on = self.gpu_chunk(means.len(), false);
             if let Some(GpuTrunkOutput(chunks)) = prepared {
                 step.load(FROM_FEATURE, self.trunk.width * means.len(), &chunks[chunk].1);
             } else {
@@ -204,7 +204,7 @@ impl WrfgsLayers {
         step.clear(D_TXS, if wanted.txs { 3 * txs.len() } else { 0 });
         let mut first = 0;
         for means in inputs.means.chunks(self.most_rows(gpu)) {
-            let (on, rows) = (self.on_gpu(means.len(), true), means.len());
+            let (on, rows) = (self.gpu_chunk(means.len(), true), means.len());
             self.gpu_trunk(&mut step, on, means);
             step.clear(D_FROM_FEATURE, width * rows);
             step.clear(D_AMPLITUDES, 3 * rows);

@@ -118,6 +118,7 @@ impl ResidentMlp {
         let gamma = column(self.slots.inputs, tx);
         apply(step, first, gamma, HIDDEN[0], true);
         apply(step, second, column(HIDDEN[0], 0), FEATURES[0], false);
+        // The folded biases.
         for (j, layer) in trunk.joints().enumerate() {
             let part = layer.part(trunk.side_columns());
             let (outputs, inputs) = part.shape();
