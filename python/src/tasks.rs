@@ -19,7 +19,7 @@ use pwrfgs::tasks::locate::{
     Localisation, LocateSettings, LocatedRow, ReadFeatures, UnlocatedObservations, read_known_pipeline,
 };
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
-use pwrfgs::tasks::plan::{Places, PlanSettings};
+use pwrfgs::tasks::plan::{PlanInput, PlanSettings};
 use pwrfgs::tasks::update::UpdatedModel;
 use pwrfgs::tasks::{self, MapSettings};
 use pwrfgs_core::docs::Docs;
@@ -72,7 +72,7 @@ pub(crate) fn read_settings<S: DeserializeOwned>(text: &str) -> Result<S> {
     read_ron(text, Path::new("settings")).map_err(without_position)
 }
 
-/// Maps a model over a plane: a dict with the grid and the layers.
+/// Maps a model over a plane: a dict with the grid, and the layers as (name, description, unit, values `[rows, columns]`).
 #[pyfunction]
 pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyResult<Bound<'py, PyDict>> {
     let map = run_stoppable(py, |stop| tasks::map(&model.ensemble, &read_settings(text)?, &mut TaskObserver(stop)))?;
@@ -104,13 +104,15 @@ fn read_observations(model: &Model, value: &Bound<'_, PyAny>) -> PyResult<Vec<Re
         return numbers(name, value, &[None, Some(setup.receivers.len())]);
     }
     if setup.task.is_complex {
+        // The image of a channel has a row of real and one of imaginary parts per antenna.
         let gains = complex_pairs(name, value, &[None, Some(height / 2), Some(width)])?;
         return Ok(rows_of(&gains, width));
     }
     numbers(name, value, &[None, Some(height), Some(width)])
 }
 
-/// Converts located transmitters to a dict with an array per column; without true positions if one is unknown.
+/// Converts located transmitters to a dict with an array per column; without true positions if one is unknown. The area of a
+/// missing region is NaN.
 fn location_dict<'py>(py: Python<'py>, rows: &[LocatedRow]) -> PyResult<Bound<'py, PyDict>> {
     let (dict, shape) = (PyDict::new(py), [rows.len(), 3]);
     let regions = || rows.iter().map(|row| row.located.region.as_ref());
@@ -128,7 +130,8 @@ fn location_dict<'py>(py: Python<'py>, rows: &[LocatedRow]) -> PyResult<Bound<'p
     Ok(dict)
 }
 
-/// Locates transmitters: a dict with an array per column. Without observations, locates the test samples.
+/// Locates transmitters: a dict with an array per column, and the table as `text`. Without observations, locates the test
+/// samples. `set` changes the pipeline of the model, `accept` names accepted findings.
 #[pyfunction]
 #[pyo3(signature = (model, observations, set, accept, text))]
 pub(crate) fn locate<'py>(
@@ -151,21 +154,22 @@ pub(crate) fn locate<'py>(
         pipeline.iter_mut().for_each(|pipeline| pipeline.accept.extend(accept.iter().cloned()));
         let split = pipeline.as_ref().map(|pipeline| load_split_data(pipeline, observer)).transpose()?;
         let accepted = pipeline.as_ref().map_or(&accept, |pipeline| &pipeline.accept);
-        let read = values.as_ref().map(|values| {
+        let read = |features: &_, data: &_| {
             let path = Path::new("observations");
-            move |features: &_, data: &_| {
-                UnlocatedObservations { path, features, data, accepted }.array_features(values)
-            }
-        });
-        let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
-        tasks::locate::locate(&model.ensemble, split.as_ref(), read, &read_settings(text)?, 0, observer)
+            let values = values.as_deref().unwrap_or_default();
+            UnlocatedObservations { path, features, data, accepted }.array_features(values)
+        };
+        let read = values.is_some().then_some(&read as ReadFeatures<'_>);
+        let images = 0; // densities of regions are not returned
+        tasks::locate::locate(&model.ensemble, split.as_ref(), read, &read_settings(text)?, images, observer)
     })?;
     let dict = location_dict(py, &rows)?;
     dict.set_item("text", text)?;
     Ok(dict)
 }
 
-/// Adds the links of `data` to the residual process of a model; returns the model, the number of links and their agreement.
+/// Adds the links of `data` to the residual process of a model. Returns the new model, the number of added links, and a text on
+/// their agreement with the model. `accept` names accepted findings.
 #[pyfunction]
 pub(crate) fn update(
     py: Python<'_>,
@@ -240,23 +244,24 @@ pub(crate) fn suggest_pipeline(
         let root = root.filter(has_source);
         let (data, observer) = ((*data.data).clone(), &mut TaskObserver(stop));
         let survey = DataSurvey::of_data(source.clone(), data, root.as_deref(), &accept, observer)?;
-        survey.suggest_pipeline(name, effort, Path::new("pipeline"))?.0.to_ron()
+        let (pipeline, _) = survey.suggest_pipeline(name, effort, Path::new("pipeline"))?;
+        pipeline.to_ron()
     })
 }
 
 /// Returns the positions of data, or the training positions of a model.
-fn measured_positions(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Places> {
+fn measured_positions(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<PlanInput> {
     if let Ok(data) = source.cast::<Dataset>() {
         let data = (*data.get().data).clone();
-        return without_gil(py, || Places::of_data(data));
+        return without_gil(py, || PlanInput::of_data(data));
     }
     let Ok(model) = source.cast::<Model>() else { return reject(py, "source: expected a Dataset or a Model") };
-    Places::of_model(&model.get().ensemble, "model")
+    PlanInput::of_model(&model.get().ensemble, "model")
         .ok_or_else(|| input_error(py, "the model has no training positions; give its data"))
 }
 
 /// Selects positions to measure next, see `pwrfgs.plan`. `source` are data or a model, `candidates` positions [C, 3], `floor` a
-/// scene file with a grid spacing and a height.
+/// scene file with a grid spacing and a height in metres, which `candidates` replace.
 #[pyfunction]
 #[pyo3(signature = (source, candidates, floor, text))]
 pub(crate) fn plan<'py>(
@@ -266,7 +271,7 @@ pub(crate) fn plan<'py>(
     floor: Option<(PathBuf, f64, f64)>,
     text: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let measured = source.map_or_else(|| Ok(Places::default()), |source| measured_positions(py, source))?;
+    let measured = source.map_or_else(|| Ok(PlanInput::default()), |source| measured_positions(py, source))?;
     let candidates = candidates.map(|value| positions("candidates", value)).transpose()?;
     let (places, plan) = run_stoppable(py, |stop| {
         let candidates = match (candidates, floor) {
@@ -289,7 +294,7 @@ pub(crate) fn plan<'py>(
     Ok(dict)
 }
 
-/// Chooses receivers, see `pwrfgs.place`: `source` are data with received powers, or a scene file or its name.
+/// Selects receivers, see `pwrfgs.place`: `source` are data with received powers, their folder, or a scene file or its name.
 #[pyfunction]
 pub(crate) fn place<'py>(py: Python<'py>, source: &Bound<'py, PyAny>, text: &str) -> PyResult<Bound<'py, PyDict>> {
     let data = source.cast::<Dataset>().ok().map(|data| std::sync::Arc::clone(&data.get().data));

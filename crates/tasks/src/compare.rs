@@ -165,7 +165,8 @@ impl ComparedRuns {
         })
     }
 
-    /// Plans the runs of an experiment with a single method, and checks them with the data.
+    /// Plans the runs of an experiment with a single method, and checks the first with the data: the others differ only in the
+    /// seed.
     fn plan_runs(&self, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
         // No text: positions in it would be those of all methods.
         let plan = SweepPlan::of(experiment, (Path::new(""), "()"), Some(base), &self.changes, self.out.as_deref());
@@ -232,8 +233,8 @@ pub fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Lists settings of NeRF2 for the size of the site and of small spectra. Rays reach across the site, at least 5 m; if that
-/// is more than 20 m, it is the unit of length too.
+/// Lists settings of NeRF2 for the data. Rays reach across the site, at least 5 m; if that is more than 20 m, it is the unit of
+/// length too. Spectra with fewer pixels than rays get a ray per pixel.
 fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();

@@ -19,8 +19,8 @@ pub struct CompressedModel {
     pub notes: Vec<String>,
 }
 
-/// Stores a model with 8 or 16 bits per network weight, and 16 bits per other number. Omits the calibration of intervals, since
-/// it is that of the exact predictions.
+/// Stores a model with 8 or 16 bits per network weight and 16 bits per other number; a residual process stays exact. Omits the
+/// calibration of intervals, since it is that of the exact predictions.
 ///
 /// # Errors
 /// A number exceeds the range of 16 bits.

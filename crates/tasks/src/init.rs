@@ -99,7 +99,7 @@ fn quote_path(path: &Path) -> Result<String> {
     text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
 }
 
-/// Shipped pipeline to start from, largest batch size, and baselines as RON.
+/// Shipped pipeline to start from, largest number of transmitters per step, and baselines as RON.
 type Template = (&'static str, usize, &'static str);
 
 /// Selects the template for the kind of data, and adds the settings that differ from it to `set`.
@@ -177,6 +177,7 @@ fn camera_settings(data: &Dataset) -> Vec<String> {
     let Dataset { width, height, .. } = *data;
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
     let strides = || (1..=16).filter(divides);
+    // The largest one if even that leaves more pixels.
     let stride = strides().find(|stride| width * height <= PIXELS * stride * stride).or_else(|| strides().next_back());
     let extent = longest_side(data).max(0.01);
     let start = if data.scene.points.is_empty() {
@@ -191,8 +192,8 @@ fn camera_settings(data: &Dataset) -> Vec<String> {
     set
 }
 
-/// Returns the name of the folder as a valid name of a pipeline: other characters become dashes; `pipeline` if none is
-/// left.
+/// Returns the name of the folder as a valid name of a pipeline: other characters become dashes, and points and dashes at the
+/// start are removed; `pipeline` if none is left.
 pub fn pipeline_name(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());

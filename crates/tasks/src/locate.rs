@@ -78,13 +78,15 @@ pub struct Localisation {
 /// Function that reads the observations of unknown transmitters as features, given the known data.
 pub type ReadFeatures<'a> = &'a dyn Fn(&FingerprintFeatures, &Dataset) -> Result<Vec<Vec<f32>>>;
 
-/// Locates transmitters by comparison with the training positions of `split`, or, without it, with predictions at the training
-/// positions in the model file. With `observations`, estimates the positions of unknown transmitters and the errors of validation
-/// samples. Without, locates the test samples and compares their errors with those of baselines. The regions of the first
-/// `images` rows keep their densities. `observer` receives the progress and a description of the fit.
+/// Locates transmitters by comparison with the training positions of `split` or, if there are `observations` and no `split`, with
+/// predictions at the training positions in the model file. With `observations`, estimates the positions of unknown
+/// transmitters and the errors of validation samples. Without, locates the test samples and compares their errors with those
+/// of baselines. The regions of the first `images` rows keep their densities. `observer` receives the progress and a
+/// description of the fit.
 ///
 /// # Errors
-/// Data of another scene than the model, without positions or with a moving receiver; invalid observations or settings.
+/// A model whose input is not a position, or without training positions if there is no `split`; data of another scene, without
+/// positions or with a moving receiver; invalid observations or settings.
 pub fn locate(
     ensemble: &Ensemble,
     split: Option<&SplitData>,
@@ -127,8 +129,8 @@ pub fn locate(
     Ok(Localisation { rows, text, title, geodetic, map: empty_map(&locator, data) })
 }
 
-/// Reports the fit of a locator to the observer, with a warning if it has no validation samples. `is_predicted`: its
-/// fingerprints are predictions; `validation` is the number of all validation positions.
+/// Reports the fit of a locator to the observer. It warns of measured fingerprints without validation samples. `is_predicted`:
+/// the fingerprints are predictions; `validation` is the number of all validation positions.
 fn report_fit(locator: &Locator<'_>, is_predicted: bool, validation: usize, observer: &mut dyn Observer) {
     if is_predicted {
         observer.on_message(&describe_predictions(locator));
@@ -180,7 +182,8 @@ fn locate_test_samples(
     })
 }
 
-/// Describes the number of regions with several parts, and the calibration of the regions; empty without such facts.
+/// Describes how many regions have several parts, and warns if regions are calibrated between the training positions; empty if
+/// neither applies.
 fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
     let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
     let parts = regions.iter().map(|region| region.part_count());
@@ -242,7 +245,7 @@ fn locate_rows(
     rows
 }
 
-/// Formats the table of the estimated positions.
+/// Formats the table of the estimated positions, with degrees if the frame has them.
 fn format_positions(rows: &[LocatedRow], geodetic: Option<Geodetic>) -> String {
     let degrees = if geodetic.is_some() { &["latitude", "longitude"][..] } else { &[] };
     let names = ["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"];

@@ -78,8 +78,8 @@ pub struct RadioMap {
     geodetic: Option<Geodetic>,
 }
 
-/// Maps the predictions of a model over a plane; `observer` receives the progress, and descriptions of default bounds
-/// and spacing.
+/// Maps the predictions of a model over a plane; `observer` receives the progress, descriptions of default bounds and spacing,
+/// and a warning of estimated receiver positions.
 ///
 /// # Errors
 /// Invalid settings, a model whose input is not a position, or no `bounds` for a model that suggests none.
@@ -127,7 +127,7 @@ fn warn_of_estimated(receivers: &[Receiver], mapped: &[usize], observer: &mut dy
 /// `observer` receives a description of defaults.
 ///
 /// # Errors
-/// Too many positions, or a model that suggests no bounds.
+/// An invalid step, too many positions, or a model that suggests no bounds.
 fn choose_grid(
     ensemble: &Ensemble,
     plane: MapPlane,
@@ -210,8 +210,8 @@ pub fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer
     Some((layer, TrainingMap { is_beyond, limit, positions }))
 }
 
-/// Returns the lowest and highest position on the floor that a horizontal `plane` shows, metres: of the `positions` without a gap
-/// of [`FLOOR_GAP_M`] from the one nearest to the plane. Unlimited for other planes, or without positions.
+/// Returns the lowest and highest of the `positions` on the floor that a horizontal `plane` shows, metres. Gaps in height of
+/// [`FLOOR_GAP_M`] separate floors; the nearest to the plane is shown. Unlimited for other planes, or without positions.
 fn shown_floor(plane: MapPlane, positions: &[[f64; 3]]) -> [f64; 2] {
     let heights = sorted(positions.iter().map(|position| position[2]));
     let floors = heights.chunk_by(|a, b| b - a < FLOOR_GAP_M).map(|floor| [floor[0], floor[floor.len() - 1]]);
@@ -312,8 +312,8 @@ impl RadioMap {
     }
 }
 
-/// Returns a file name that is not in `taken`, apart from case, and adds it there. Only letters, digits, points and
-/// dashes of the name of the receiver are kept.
+/// Returns a file name without extension that is not in `taken`, apart from case, and adds it there in lower case. Of the
+/// name of the receiver, 60 characters are kept; other signs than `-`, `_` and `.` become `_`.
 fn unique_file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let suffix = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());

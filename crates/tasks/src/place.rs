@@ -67,11 +67,11 @@ fn check_count(count: usize) -> Result<()> {
 /// Choice of receivers.
 #[derive(Clone, Debug)]
 pub struct PlacedReceivers {
-    /// Name in `place.csv`; empty for averages, which are not written.
+    /// Name in `place.csv`; empty for averages and for all receivers, which are not written.
     pub short: &'static str,
     /// Name in the table.
     pub name: String,
-    /// Names, empty in scenes, and positions in metres.
+    /// Names, empty in scenes, and positions in metres; none for choices that are not written.
     pub receivers: Vec<(String, [f64; 3])>,
     /// Coverage, dBm.
     pub coverage: f64,
@@ -84,7 +84,7 @@ pub struct PlacedReceivers {
 pub struct Placement {
     /// Headings after the first.
     header: Vec<String>,
-    /// Choices, the best search first.
+    /// Choices: the main search first, then others to compare with.
     pub choices: Vec<PlacedReceivers>,
     /// Lines below the table.
     notes: Vec<String>,

@@ -57,9 +57,9 @@ pub struct PlanSettings {
     pub seed: u64,
 }
 
-/// Positions of a plan, metres, world frame.
+/// Input of a plan: positions in metres, world frame, and observations.
 #[derive(Clone, Debug, Default)]
-pub struct Places {
+pub struct PlanInput {
     /// Title of the plan.
     pub title: String,
     /// Positions that can be measured.
@@ -72,7 +72,7 @@ pub struct Places {
     pub data: Option<Dataset>,
 }
 
-impl Places {
+impl PlanInput {
     /// Returns the positions of `data`, all as candidates that are not measured yet.
     ///
     /// # Errors
@@ -101,8 +101,8 @@ impl Places {
         (!measured.is_empty()).then(|| Self { title: title.into(), measured, receivers, ..Self::default() })
     }
 
-    /// Returns the places with new `candidates` from `path`. Earlier candidates become known measurements, of which at most
-    /// 2,000, evenly chosen, are kept.
+    /// Returns the input with new `candidates`; `path` names them in messages. Earlier candidates become known measurements, of
+    /// which at most 2,000, evenly chosen, are kept.
     ///
     /// # Errors
     /// Candidates that are far from all known measurements: probably another frame or unit.
@@ -138,27 +138,27 @@ pub struct Plan {
     pub text: String,
 }
 
-/// Selects positions to measure next, of the candidates of `places`.
+/// Selects positions to measure next, of the candidates of `input`.
 ///
 /// # Errors
 /// Invalid settings, no candidates, no candidate in the region, or [`Error::Stopped`].
-pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>) -> Result<Plan> {
-    check_count(settings.count, places.candidates.len())?;
-    let region = select_region(settings, places)?;
+pub fn plan(input: &PlanInput, settings: &PlanSettings, session: &mut Session<'_>) -> Result<Plan> {
+    check_count(settings.count, input.candidates.len())?;
+    let region = select_region(settings, input)?;
     let stop = session.stop;
     let subset = run_stage(session.observer, "thinning candidates", |progress| {
-        select_farthest(&places.candidates, MOST, |done| {
+        select_farthest(&input.candidates, MOST, |done| {
             progress(done, MOST);
             !stop.load(Ordering::Relaxed)
         })
     });
     session.check_stopped()?;
-    let candidates: Vec<[f64; 3]> = subset.iter().map(|&j| places.candidates[j]).collect();
-    let survey = Survey::new(&candidates, &region, &places.measured);
-    let start = first_correlation(settings, places, &region)?;
+    let candidates: Vec<[f64; 3]> = subset.iter().map(|&j| input.candidates[j]).collect();
+    let survey = Survey::new(&candidates, &region, &input.measured);
+    let start = first_correlation(settings, input, &region)?;
     let candidate_indices = |order: &[usize]| order.iter().map(|&j| subset[j]).collect::<Vec<usize>>();
     let learn = |order: &[usize]| {
-        places
+        input
             .data
             .as_ref()
             .filter(|_| settings.simulate)
@@ -173,20 +173,20 @@ pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>)
     session.check_stopped()?;
     let mut choices = list_choices(&survey, &selected, settings.seed);
     choices.iter_mut().for_each(|choice| choice.order = candidate_indices(&choice.order));
-    let gain = score_choices(&mut choices, places, session)?;
-    let text = format_table(&choices, gain, &selected.correlation, places);
+    let gain = score_choices(&mut choices, input, session)?;
+    let text = format_table(&choices, gain, &selected.correlation, input);
     let Choice { order, variances, .. } = choices.swap_remove(0);
     Ok(Plan { order, variances, text })
 }
 
 /// Returns the candidates in the region of `--region`, all without this option; an error if the region has none.
-fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3]>> {
-    let Some(text) = &settings.region else { return Ok(places.thinned_candidates(|_| true)) };
+fn select_region(settings: &PlanSettings, input: &PlanInput) -> Result<Vec<[f64; 3]>> {
+    let Some(text) = &settings.region else { return Ok(input.thinned_candidates(|_| true)) };
     let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
-    let region = places.thinned_candidates(|[x, y, _]| bounds.has_point([x, y]));
+    let region = input.thinned_candidates(|[x, y, _]| bounds.has_point([x, y]));
     if region.is_empty() {
         let [(x0, x1), (y0, y1)] =
-            [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|position| position[k])));
+            [0, 1].map(|k| statistics::bounds(input.candidates.iter().map(|position| position[k])));
         return Err(Error::Config(format!(
             "--region {text}: no candidate inside; candidates have x from {} to {} m and y from {} to {} m",
             number(x0),
@@ -200,7 +200,7 @@ fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3
 
 /// Returns the correlation of the first step: of `--length-scale`, else learned from known measurements, else the
 /// default of the region. An invalid length is an error.
-fn first_correlation(settings: &PlanSettings, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
+fn first_correlation(settings: &PlanSettings, input: &PlanInput, region: &[[f64; 3]]) -> Result<Correlation> {
     let default = default_correlation(region);
     if let Some(length) = settings.length_scale {
         if !(1e-6..=1e8).contains(&length) {
@@ -208,7 +208,7 @@ fn first_correlation(settings: &PlanSettings, places: &Places, region: &[[f64; 3
         }
         return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
     }
-    let measured = places.data.as_ref().filter(|_| !places.measured.is_empty());
+    let measured = input.data.as_ref().filter(|_| !input.measured.is_empty());
     let learned = measured.and_then(|data| learn_correlation(data, &(0..data.locations.len()).collect::<Vec<_>>()));
     Ok(learned.unwrap_or(default))
 }
@@ -248,10 +248,10 @@ fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     orders.into_iter().map(choice).collect()
 }
 
-/// Scores Kriging from each choice on transmitters in none of them. Returns the gain of the plan over the regular
-/// choice; `None` without measured candidates or without such transmitters.
-fn score_choices(choices: &mut [Choice], places: &Places, session: &mut Session<'_>) -> Result<Option<Difference>> {
-    let Some(data) = places.data.as_ref().filter(|_| places.measured.is_empty()) else { return Ok(None) };
+/// Sets the scores of each choice: of Kriging fitted to its measurements, on transmitters in no choice. Returns the gain of
+/// the plan over the regular choice; `None` without measured candidates or finite scores.
+fn score_choices(choices: &mut [Choice], input: &PlanInput, session: &mut Session<'_>) -> Result<Option<Difference>> {
+    let Some(data) = input.data.as_ref().filter(|_| input.measured.is_empty()) else { return Ok(None) };
     let test = test_links(data, choices);
     if test.is_empty() {
         return Ok(None);
@@ -289,20 +289,20 @@ impl Plan {
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn write(&self, places: &Places, folder: &NewFolder) -> Result<()> {
+    pub fn write(&self, input: &PlanInput, folder: &NewFolder) -> Result<()> {
         let mut lines = Lines::new(["order", "candidate", "x", "y", "z", "mean_variance"]);
         for (k, &j) in self.order.iter().enumerate() {
-            let [x, y, z] = places.candidates[j].map(|v| v.to_string());
+            let [x, y, z] = input.candidates[j].map(|v| v.to_string());
             let [order, candidate] = [k + 1, j + 1].map(|v| v.to_string());
             lines.put([&order, &candidate, &x, &y, &z, &format!("{:.6}", self.variances[k + 1])]);
         }
         let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
         let map = SurveyMap {
-            title: format!("{}: {} positions to measure", places.title, grouped(self.order.len() as i64)),
-            candidates: places.candidates.iter().map(flat).collect(),
-            known: places.measured.iter().map(flat).collect(),
-            selected: self.order.iter().map(|&j| flat(&places.candidates[j])).collect(),
-            receivers: places.receivers.iter().map(flat).collect(),
+            title: format!("{}: {} positions to measure", input.title, grouped(self.order.len() as i64)),
+            candidates: input.candidates.iter().map(flat).collect(),
+            known: input.measured.iter().map(flat).collect(),
+            selected: self.order.iter().map(|&j| flat(&input.candidates[j])).collect(),
+            receivers: input.receivers.iter().map(flat).collect(),
         };
         folder.put("plan.csv", lines.text())?;
         folder.put("plan.png", map.draw().png(WIDTH_MM))
@@ -310,8 +310,8 @@ impl Plan {
 }
 
 /// Formats the table of the choices, with the correlation and a comparison with the regular choice.
-fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
-    let task = places.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
+fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, input: &PlanInput) -> String {
+    let task = input.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
     let mut header = vec!["choice".to_owned(), "mean variance".into()];
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
     let mut lines = vec![header];
@@ -325,17 +325,17 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
     _ = write!(
         text,
         "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",
-        grouped(places.candidates.len() as i64),
-        grouped(places.measured.len() as i64),
+        grouped(input.candidates.len() as i64),
+        grouped(input.measured.len() as i64),
         number(*length),
         number(*noise)
     );
-    if places.candidates.len() > MOST {
+    if input.candidates.len() > MOST {
         let most = grouped(MOST as i64);
         _ = writeln!(text, "positions are selected among {most} candidates, the farthest from each other");
     }
     if let Some(task) = task {
-        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated_prefix());
+        let (test, data) = (grouped(choices[0].scores.len() as i64), input.simulated_prefix());
         _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
     }
     text + describe_verdict(&choices[0], &choices[1], gain)

@@ -6,9 +6,9 @@ use pwrfgs_core::{Error, Geodetic, MAX_COORDINATE_M, Pose, Result, coordinate_fa
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
 const MOST: f64 = 4e6;
-/// Maximum number of values of a map: positions times layers.
+/// Maximum number of pairs of position and receiver of a map.
 const MOST_VALUES: f64 = 16.0 * MOST;
-/// Largest number of positions of a map of default grid spacing, if the smallest spacing is too small.
+/// Largest number of positions of a map whose default grid spacing is above [`PlaneBounds::STEP`].
 const USUAL: f64 = 2.5e5;
 
 /// Parses `N` numbers separated by commas; `None` for other text.
@@ -130,11 +130,11 @@ impl PlaneBounds {
     /// Smallest default grid spacing, metres.
     pub const STEP: f64 = 0.1;
 
-    /// Returns the default grid spacing of a map with `layers` values per position: [`Self::STEP`], or for a map that is then too
-    /// large the first of 1, 2, 5, 10 .. m with at most 250,000 positions and 64 million values.
-    pub fn default_step(self, layers: usize) -> f64 {
+    /// Returns the default grid spacing of a map at so many `receivers`: [`Self::STEP`], or for a map that is then too large the
+    /// first of 1, 2, 5, 10 .. m with at most 250,000 positions and 64 million pairs of position and receiver.
+    pub fn default_step(self, receivers: usize) -> f64 {
         let count = |step: f64| self.0.iter().map(|[low, high]| (high - low) / step + 2.0).product::<f64>();
-        let limit = MOST_VALUES / layers.max(1) as f64;
+        let limit = MOST_VALUES / receivers.max(1) as f64;
         let most = USUAL.min(limit);
         let is_small = count(Self::STEP) <= MOST.min(limit);
         let steps = (0..10).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));
@@ -164,16 +164,16 @@ impl PlaneBounds {
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; two metres wide along a coordinate in
+    /// Creates bounds around the central 90 % of `cloud` and all `points`, metres; two metres wide along a coordinate in
     /// which all are equal, or if there are none.
-    pub fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
+    pub fn around(mut cloud: Vec<[f64; 2]>, points: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {
             let mut values: Vec<f64> = cloud.iter().map(|point| point[k]).collect();
             values.sort_by(f64::total_cmp);
             let last = values.len().saturating_sub(1) as f64;
             let ends = [0.05, 0.95].map(|q| values.get((q * last).round() as usize).copied());
-            let coordinates = || ends.iter().flatten().copied().chain(receivers.iter().map(|point| point[k]));
+            let coordinates = || ends.iter().flatten().copied().chain(points.iter().map(|point| point[k]));
             [coordinates().fold(f64::INFINITY, f64::min), coordinates().fold(f64::NEG_INFINITY, f64::max)]
         };
         Self([ends_along(0), ends_along(1)].map(|[low, high]| match high - low {
@@ -200,11 +200,11 @@ pub struct PlaneGrid {
 }
 
 impl PlaneGrid {
-    /// Creates the grid from the low ends of the bounds, with `layers` values per position.
+    /// Creates the grid of a map at so many `receivers`, from the low ends of the bounds.
     ///
     /// # Errors
     /// `step` is out of range, or the grid is too large.
-    pub fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, layers: usize) -> Result<Self> {
+    pub fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, receivers: usize) -> Result<Self> {
         let PlaneBounds([across, up]) = bounds;
         if !(1e-6..=MAX_COORDINATE_M).contains(&step) {
             return Err(Error::Config(format!(
@@ -213,9 +213,9 @@ impl PlaneGrid {
         }
         let count = |[low, high]: [f64; 2]| ((high - low) / step + 1e-6).floor() + 1.0;
         let (columns, rows) = (count(across), count(up));
-        if columns * rows > MOST || columns * rows * layers as f64 > MOST_VALUES {
+        if columns * rows > MOST || columns * rows * receivers as f64 > MOST_VALUES {
             return Err(Error::Config(format!(
-                "map of {columns} x {rows} positions and {layers} receivers is too large; increase --step, reduce --bounds or \
+                "map of {columns} x {rows} positions and {receivers} receivers is too large; increase --step, reduce --bounds or \
                  set --receiver"
             )));
         }

@@ -24,8 +24,8 @@ pub struct UpdatedModel {
 /// progress and the findings on the data.
 ///
 /// # Errors
-/// A model without residual process; data of another scene, with findings that make results meaningless, or without a link at a
-/// receiver of the process.
+/// A model without residual process; data of another scene, without positions, with other poses of receivers, with findings that
+/// make results meaningless and are not accepted, or without a link at a receiver of the process.
 pub fn update(
     model: &Ensemble,
     data: &Dataset,

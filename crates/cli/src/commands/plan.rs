@@ -44,12 +44,12 @@ pub(crate) struct Plan {
 /// Runs `pwrfgs plan`: prints the plan and other choices, and writes its list and map.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
-    let places = RunProgress::observe(verbosity, |progress| read_positions(&arguments.positions, progress))?;
+    let positions = RunProgress::observe(verbosity, |progress| read_positions(&arguments.positions, progress))?;
     let folder = NewFolder::begin(&arguments.out)?;
     let plan = RunProgress::observe(verbosity, |progress| {
-        select_positions(&places, &arguments.settings, &mut Session { stop: &stop, ..Session::new(progress) })
+        select_positions(&positions, &arguments.settings, &mut Session { stop: &stop, ..Session::new(progress) })
     })?;
-    plan.write(&places, &folder)?;
+    plan.write(&positions, &folder)?;
     folder.publish()?;
     output::print_result(&plan.text)?;
     verbosity.print_note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));

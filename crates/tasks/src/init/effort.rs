@@ -15,7 +15,7 @@ pub enum Effort {
     /// The default: up to two minutes on two cores for small sets.
     #[default]
     Normal,
-    /// Few positions: twice as many models; for received powers also wider networks. Many positions: four models.
+    /// Few positions: twice as many models; for received powers also wider networks. Many positions: up to four models.
     Best,
 }
 
@@ -67,7 +67,7 @@ impl Sizing {
         sizing.set.push(format!("members={}", sizing.models));
         if has_residuals && held_out {
             let has_few_pixels = survey.known_links() * data.width * data.height <= STORED_PIXELS;
-            // Without a stride, a share of 0 is the baseline Kriging to the bit.
+            // With stride 1 and a share of 0, the residual process equals the baseline Kriging bit for bit.
             let is_exact = data.task().has_pixels && effort == Effort::Best && has_few_pixels;
             sizing.set.push(format!("residuals=Kriged({})", if is_exact { "stride: 1" } else { "" }));
         }
@@ -81,9 +81,14 @@ impl Sizing {
             // As many as the 4,000 of the template, which has 3,840 positions.
             set.push(format!("training.steps={}", survey.known_positions().clamp(1_200, 4_000)));
         }
-        let models = effort.pick("one model, a quarter of the steps", "one model", "four models, four times as long");
-        let notes = vec![format!("{models}; `pwrfgs check` measures the time.")];
-        Self { models: effort.pick(1, 1, 4).min(survey.known_parts().max(1)), set, notes }
+        let models = effort.pick(1, 1, 4).min(survey.known_parts().max(1));
+        let words = match effort {
+            Effort::Fast => "one model, a quarter of the steps".to_owned(),
+            _ if models == 1 => "one model".to_owned(),
+            _ => format!("{models} models, {models} times as long"),
+        };
+        let notes = vec![format!("{words}; `pwrfgs check` measures the time.")];
+        Self { models, set, notes }
     }
 
     /// Chooses the settings for few positions: several models, each without a part of the positions, and short training against
@@ -98,8 +103,8 @@ impl Sizing {
             ((5 * positions / 2).clamp(600, 2_000), 16)
         };
         let batch = survey.batch_size(most);
-        // Two of eight models leave out each of the four parts, so that the share of a mean is chosen. A step at many receivers
-        // takes about as long as two steps at few receivers.
+        // Two of eight models leave out the same of four parts (`Pipeline::parts`), so the share of the residuals is chosen for
+        // their mean. A step at many receivers takes about twice as long, so there are half as many models.
         let has_short_steps = is_power && !survey.is_full(batch);
         let models = if has_short_steps { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
         let parts = survey.known_parts().max(1);

@@ -6,6 +6,7 @@ use pwrfgs_core::{
 };
 use pwrfgs_data::read_points;
 use pwrfgs_experiment::inspect::test_distance;
+use pwrfgs_experiment::text::grouped;
 use pwrfgs_experiment::{Observer, check_findings, describe_observations, run_stage};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -28,7 +29,7 @@ const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_i
                        gateway_rssi.csv and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy \
                        and base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
 
-/// Creates the error for a folder without data of a known layout, or for a file or path in its place.
+/// Creates the error for a folder without data of a known layout, for a file, or for a missing path.
 pub fn unknown_folder_error(folder: &Path) -> Error {
     let problem = match folder.metadata() {
         Ok(entry) if entry.is_dir() => UNKNOWN.to_owned(),
@@ -52,7 +53,7 @@ fn advise_on_file(file: &Path) -> String {
     format!("give a folder in a layout of docs/data.md, or {import} {} --out FOLDER`", file.display())
 }
 
-/// Returns whether `path` is a file with the extension of a table or of NumPy arrays.
+/// Returns whether `path` is a file with the extension of a table or of NumPy arrays; not `txt`, which any text can have.
 pub fn is_table_or_array(path: &Path) -> bool {
     path.is_file() && ["csv", "tsv", "gz", "npy", "npz"].contains(&lowercase_extension(path).as_str())
 }
@@ -91,8 +92,8 @@ impl DataSurvey {
         Self::of_data(source, data, Some(folder), accepted, observer)
     }
 
-    /// Suggests a split for `data`, which `source` reads; warns of findings on the data. Point clouds of the room are those in
-    /// `folder`.
+    /// Suggests a split for `data`, which `source` reads; warns of findings on the data. The first point cloud in `folder`
+    /// becomes that of the room, except for images of a camera.
     ///
     /// # Errors
     /// Data that no split divides, or findings that make results meaningless and are not `accepted`.
@@ -132,8 +133,8 @@ impl DataSurvey {
         self.partition.known().all().len()
     }
 
-    /// Returns the number of parts that the split holds out together, of the training and validation sets: the largest number
-    /// of folds.
+    /// Returns the number of parts of the training and validation sets that the split does not divide, such as cells: the
+    /// largest number of folds.
     pub(super) fn known_parts(&self) -> usize {
         let split = Plugin::<dyn Split>::parse(&self.split);
         split.map_or(0, |split| split.units(&self.data, &self.partition.known().all()).len())
@@ -144,14 +145,14 @@ impl DataSurvey {
         !self.partition.validation.is_empty()
     }
 
-    /// Returns the batch size: the number of training transmitters, at most `most`, and at least 1; with more, a step has
-    /// at most 2,720 links.
+    /// Returns the batch size: the number of training transmitters, at most `most`, and at least 1. With more than 1, a
+    /// step has at most 2,720 links.
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
         transmitters.min(LINKS / self.links_per_transmitter()).clamp(1, most)
     }
 
-    /// Returns the number of training links per transmitter, at least 1.
+    /// Returns the mean number of training links per transmitter, rounded up; at least 1.
     fn links_per_transmitter(&self) -> usize {
         self.partition.train.len().div_ceil(self.data.locations_of(&self.partition.train).len().max(1)).max(1)
     }
@@ -166,9 +167,19 @@ impl DataSurvey {
         let links = self.links_per_transmitter();
         self.is_full(batch).then(|| {
             format!(
-                "`batch` is the number of transmitters per step: {batch} of {links} links each are about 2,500 links."
+                "`batch` is the number of transmitters per step: {batch} of {links} links each are about {} links.",
+                grouped((batch * links) as i64)
             )
         })
+    }
+
+    /// Describes what the suggested split of data without index files holds out.
+    fn held_out_part(&self) -> &'static str {
+        match self.split.split('(').next() {
+            Some("Voxel") => "whole regions, so that test transmitters are not next to training transmitters",
+            Some("TimeBlock") => "a block of time",
+            _ => "random samples",
+        }
     }
 
     /// Describes the observations and the sizes of the sets in one line.
@@ -181,17 +192,21 @@ impl DataSurvey {
     /// Lists the notes for the head of the pipeline file: data, split, frequencies and start of the Gaussians.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.describe())];
-        let near = format!("the median distance from test to training transmitters is {:.3} m", self.nearest);
-        notes.push(match (self.data.official.is_some(), self.nearest < NEAR) {
+        let has_positions = self.data.placed && self.data.features.is_none();
+        let near = if has_positions {
+            format!("the median distance from test to training transmitters is {:.3} m", self.nearest)
+        } else {
+            "the data have no transmitter positions".into()
+        };
+        notes.push(match (self.data.official.is_some(), has_positions && self.nearest < NEAR) {
             (true, true) => format!(
                 "The split is from the index files of the data, and {near}: copying the nearest training sample scores \
                  high. `split: Voxel()` holds out cells of space and `split: TimeBlock()` a block of time."
             ),
             (true, false) => format!("The split is from the index files of the data; {near}."),
-            (false, _) => format!(
-                "The data have no index files. The split holds out whole regions, so that test transmitters are not next to \
-                 training transmitters; {near}."
-            ),
+            (false, _) => {
+                format!("The data have no index files. The split holds out {}; {near}.", self.held_out_part())
+            }
         });
         if plugin_name(&self.source) == "Nerf2Csi" {
             notes.push(
@@ -223,7 +238,7 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Suggests a split without leakage, as RON and applied: index files of the data, else cells of space, else a block of
+/// Suggests a split with little leakage, as RON and applied: index files of the data, else cells of space, else a block of
 /// time, else random.
 ///
 /// # Errors
@@ -254,7 +269,7 @@ pub(super) fn longest_side(data: &Dataset) -> f64 {
 }
 
 /// Suggests the edge of cells that are held out, metres: the largest with enough cells, at least two spacings of the
-/// positions; `None` if no edge has.
+/// positions; `None` if there is none.
 fn suggest_cell_edge(data: &Dataset) -> Option<f64> {
     let positions = || data.locations.iter().map(Location::position);
     let site = SiteSize::new(positions());
@@ -266,7 +281,8 @@ fn suggest_cell_edge(data: &Dataset) -> Option<f64> {
     })
 }
 
-/// Reads the point clouds in the folder, in order of their file names; unreadable files are left out.
+/// Reads the point clouds in the folder, in order of their file names: PLY, XYZ, and CSV with `point` in the name. Unreadable
+/// files are left out.
 fn read_clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
     let is_cloud = |path: &PathBuf| {
         let extension = lowercase_extension(path);
@@ -305,6 +321,20 @@ mod tests {
         {
             assert_eq!(suggest_cell_edge(&grid(count, columns, step)), edge, "{count} positions");
         }
+    }
+
+    #[test]
+    fn notes_state_what_the_split_holds_out() {
+        let note = |split: &str, placed: bool| {
+            let (source, mut data) = (Plugin::parse("Nerf2Rssi(root: \"grid\")").unwrap(), grid(9, 3, 1.0));
+            data.placed = placed;
+            let (split, partition) = (split.to_owned(), Partition { train: (0..9).collect(), ..Partition::default() });
+            let survey = DataSurvey { source, data, accepted: vec![], split, partition, nearest: 0.0, clouds: vec![] };
+            survey.notes()[1].clone()
+        };
+        assert!(note("Voxel(size_m: 1)", true).contains("holds out whole regions, so that"));
+        assert!(note("TimeBlock()", true).contains("holds out a block of time; the median distance"));
+        assert!(note("Random()", false).ends_with("random samples; the data have no transmitter positions."));
     }
 
     #[test]

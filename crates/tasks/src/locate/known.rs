@@ -12,9 +12,9 @@ use std::path::Path;
 /// Number of links that are predicted between two reports of progress.
 const CHUNK: usize = 256;
 
-/// Reads the pipeline with the known data of the model that `path` names, with the changes of `set`. Returns `None` if
-/// observations are compared with predictions instead: given observations and no `set`, for a shipped model or a model
-/// without pipeline.
+/// Reads the pipeline with the known data of the model that `path` names, with the changes of `set`; a model without a file has
+/// no `path`. Returns `None` if observations are compared with predictions instead: given observations and no `set`, for a
+/// shipped model or a model without pipeline.
 ///
 /// # Errors
 /// An invalid pipeline; or none, and there are no observations or `set` has changes.

@@ -25,7 +25,8 @@ impl UnlocatedObservations<'_> {
     /// if unknown; spectra `[B, height, width]`, or channels as rows of real and imaginary parts, at one receiver.
     ///
     /// # Errors
-    /// An invalid value, with its row; powers far from those of the known data, unless the finding is accepted.
+    /// An invalid value, with its row; spectra or channels at several receivers; powers far from those of the known data, unless
+    /// the finding is accepted.
     pub fn array_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         if self.features.task().is_scalar { self.power_features(values) } else { self.image_features(values) }
     }
@@ -97,7 +98,7 @@ impl UnlocatedObservations<'_> {
     }
 
     /// Computes the features of each spectrum or channel at the only receiver, from the concatenated `values`. Returns an error
-    /// for several receivers, and for values that are not finite or out of range.
+    /// for several receivers, for no or incomplete observations, and for values that are not finite or out of range.
     fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         if self.data.scene.receivers.len() != 1 {
             let (plural, receivers) = (self.features.task().plural, self.data.scene.receivers.len());
@@ -125,8 +126,8 @@ impl UnlocatedObservations<'_> {
         Ok(values.chunks_exact(numbers).map(features).collect())
     }
 
-    /// Returns the powers `[B, receivers]`, dBm, as features; NaN for unknown ones. A row without any known power, or
-    /// with an invalid one, is an error.
+    /// Returns the powers `[B, receivers]`, dBm, as features; NaN for unknown ones. A row without any known power or with an
+    /// invalid one is an error, and so are powers far from those of the known data, unless the finding is accepted.
     fn power_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         let rows = values.chunks_exact(self.data.scene.receivers.len().max(1));
         let rows: Vec<Vec<f32>> = rows.map(|row| row.iter().map(|v| *v as f32).collect()).collect();

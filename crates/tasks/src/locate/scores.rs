@@ -15,8 +15,8 @@ const EXPECTED: usize = 200;
 /// Name of the baseline that locates all samples at the mean of the training positions.
 const CENTRE: &str = "centre of the positions";
 
-/// Formats the table of the errors of the located test samples of `split` and of the baselines, with a verdict. `has_kriging`
-/// adds the errors with fingerprints of Kriging.
+/// Formats the table of the errors of the test samples of `split`, `located` in their order, and of the baselines, with a
+/// verdict. `has_kriging` adds the errors with fingerprints of Kriging, if it supports the data.
 pub(super) fn format_errors(
     located: &[&Located],
     locator: &Locator<'_>,
@@ -69,7 +69,7 @@ struct Samples<'a> {
 /// Row of the table.
 struct Entry {
     name: String,
-    /// Share of predictions in the fingerprints.
+    /// Share of predictions in the fingerprints; `None` for baselines without a model.
     share: Option<f32>,
     /// Errors, metres.
     errors: Vec<f64>,
@@ -137,8 +137,8 @@ impl Samples<'_> {
         Ok(Some((locator.choice, located.collect())))
     }
 
-    /// Compares the first entry with the centre if it is not better, else with the best of the other entries; empty if they have
-    /// no difference.
+    /// States that the first entry is no better than the centre, or else compares it with the best of the other entries; empty
+    /// if no difference can be computed.
     fn verdict(&self, entries: &[Entry]) -> String {
         let transmitters = self.transmitters.iter().map(|t| self.data.locations[*t]);
         let blocks = Blocks::new(&transmitters.clone().map(|tx| (tx.id, Some(tx.position()))).collect());
@@ -165,7 +165,7 @@ impl Samples<'_> {
 }
 
 impl Entry {
-    /// Formats the cells of the entry: name, share, median, mean and 90th percentile of the errors, and regions.
+    /// Formats the cells of the entry, in the order of the header of [`format_errors`].
     fn cells(&self) -> Vec<String> {
         let worst = quantile(&sorted(self.errors.iter().copied()), 0.9);
         let [mean, median] = mean_and_median(self.errors.clone());

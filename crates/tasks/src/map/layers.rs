@@ -56,6 +56,7 @@ pub(super) fn select_quantities(setup: &MeasurementSetup, requested: &[MapQuanti
         let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
         return Err(Error::Config(format!("--of {name}: not available for a model of {}; use {names}", task.plural)));
     }
+    // All but the mean.
     let default = if task.has_pixels { &available[..available.len() - 1] } else { available };
     Ok(available
         .iter()
@@ -123,7 +124,7 @@ impl MapRequest<'_> {
         layers
     }
 
-    /// Appends the values at the next position to the arrays of a receiver.
+    /// Appends the values at the next position to the arrays of a receiver, by their names in [`empty_layers`].
     fn append_values(&self, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
         let Self { setup, grid, .. } = *self;
         let plane = &setup.plane;
@@ -170,7 +171,8 @@ fn empty_layers(setup: &MeasurementSetup, receiver: usize, quantities: &[MapQuan
     quantities.iter().flat_map(names).map(layer).collect()
 }
 
-/// Computes the largest power of all receivers at each position, dBm; `None` for a single receiver or other tasks.
+/// Computes the largest power of all mapped receivers at each position, in the unit of `layers`, one per receiver. `None` for
+/// a single receiver or other tasks.
 fn strongest_layer(task: Task, layers: &[MapLayer], receivers: usize) -> Option<MapLayer> {
     let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);

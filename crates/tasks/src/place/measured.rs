@@ -7,11 +7,11 @@ use pwrfgs_experiment::{Observer, run_stage};
 use pwrfgs_planning::{ReceiverSubset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_report::draw::survey::CoverageMap;
 
-/// Divisor of the number of transmitters that are held out without an official split.
+/// One transmitter of so many is held out if there is no official split.
 const HELD_OUT: usize = 5;
 
-/// Chooses receivers of `data` by an exhaustive and a greedy search over the training transmitters, and scores them on
-/// held-out ones.
+/// Chooses receivers of `data` by a greedy search over the training transmitters, and by an exhaustive one unless there are
+/// too many subsets. Scores the choices on held-out transmitters.
 ///
 /// # Errors
 /// Invalid settings, data without received powers, or fewer than two transmitters.
@@ -43,7 +43,7 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
         [best_subset(&powers.fitting, count), Some(greedy_subset(&powers.fitting, count))]
     });
     if best.is_none() {
-        notes.push("more than 100,000 subsets: greedy choice only".into());
+        notes.push("more than 100,000 subsets: greedy choice only".into()); // the limit of `best_subset`
     }
     let subsets = [("exhaustive", best), ("greedy", greedy)];
     let subsets: Vec<(&str, ReceiverSubset)> =
@@ -56,11 +56,12 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
     notes.push(format!("{search} choice: {}", names.join(", ")));
     let title = format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1));
     let map = powers.coverage_map(title, chosen, &test);
+    // In the order of the cells of `score_subset` and `reference_choices`.
     let header = ["training (dBm)", "held-out (dBm)", "subsets"].map(str::to_owned).to_vec();
     Ok(Placement { header, choices, notes, map })
 }
 
-/// Data with their powers `[R][T]`, dBm, at the transmitters of the choice and at the held-out ones.
+/// Data with their powers, dBm `[R][T]`, at the training transmitters (`fitting`) and at the held-out ones.
 struct MeasuredPowers<'a> {
     data: &'a Dataset,
     fitting: Vec<Vec<f64>>,
@@ -74,7 +75,7 @@ impl MeasuredPowers<'_> {
         (receiver.name.clone(), self.data.scene.origin.world_pose(receiver.pose).position)
     }
 
-    /// Scores the subset of the search `short` on the held-out transmitters.
+    /// Scores the subset of the search called `short` on the held-out transmitters.
     fn score_subset(&self, short: &'static str, subset: &ReceiverSubset) -> PlacedReceivers {
         let coverage = subset_coverage(&self.held_out, &subset.receivers);
         let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
@@ -82,7 +83,7 @@ impl MeasuredPowers<'_> {
         PlacedReceivers { short, name: short.into(), receivers, coverage, cells }
     }
 
-    /// Scores random subsets of `count` receivers, and all receivers, on both sets of transmitters.
+    /// Scores the average of [`RANDOM`] subsets of `count` receivers, and all receivers, on both sets of transmitters.
     fn reference_choices(&self, count: usize, seed: u64) -> [PlacedReceivers; 2] {
         let receivers: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
         let draws = random_subsets(receivers.len(), count, RANDOM, seed);
@@ -100,7 +101,8 @@ impl MeasuredPowers<'_> {
         })
     }
 
-    /// Creates the map of the strongest power of the `chosen` receivers at the held-out transmitters `test`.
+    /// Creates the map of the strongest power of the `chosen` receivers at the held-out transmitters `test`, of which none are
+    /// drawn if the data have no positions.
     fn coverage_map(&self, title: String, chosen: &[usize], test: &[usize]) -> CoverageMap {
         let flat = |[x, y, _]: [f64; 3]| [x, y];
         let point = |&r: &usize| flat(self.name_and_position(r).1);
@@ -116,8 +118,8 @@ impl MeasuredPowers<'_> {
     }
 }
 
-/// Splits the transmitters into those of the choice and those of its score: the official split if both of its sets have
-/// transmitters, otherwise a random fifth is held out. Also returns the name of the split.
+/// Returns the training and the held-out transmitters, both ascending, and the name of the split: the official one if both of
+/// its sets have transmitters, where those with training links are not held out; otherwise a random fifth is held out.
 fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
         let [train, test] = [train, test].map(|links| data.locations_of(links));
@@ -138,7 +140,7 @@ fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
 
 /// Powers of all pairs of receiver and transmitter.
 struct PowerMatrix {
-    /// dBm `[R][T]`.
+    /// Powers, dBm `[R][T]`; [`Self::weakest`] for a pair without a link.
     powers: Vec<Vec<f64>>,
     /// Weakest power of the data, dBm.
     weakest: f64,

@@ -8,7 +8,7 @@ use pwrfgs_planning::{AscentResult, SceneCoverage, greedy_subset, random_subsets
 use pwrfgs_raytrace::SceneFile;
 use pwrfgs_report::draw::survey::CoverageMap;
 
-/// Largest number of receivers.
+/// Largest number of receivers: an ascent compares all subsets of the positions that it traces first.
 const MOST: usize = 3;
 
 /// Chooses receivers by ascent over the floor of a scene, and from a grid unless that is omitted.
@@ -66,8 +66,8 @@ fn ascent_choice(ascent: &AscentResult, floor: &SceneCoverage) -> PlacedReceiver
     }
 }
 
-/// Chooses receiver positions on the grid by a greedy search, which is exhaustive for one receiver, and averages random
-/// subsets. `grid` holds the powers of all candidates, dBm `[C][T]`.
+/// Creates the greedy choice on the grid, which is exhaustive for one receiver, and the average of random subsets. `grid`
+/// holds the powers of all candidates, dBm `[C][T]`.
 fn grid_choices(settings: &PlaceSettings, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [PlacedReceivers; 2] {
     let PlaceSettings { count, seed, .. } = *settings;
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
@@ -103,7 +103,7 @@ fn coverage_map(scene: &str, floor: &SceneCoverage, ascent: AscentResult) -> Cov
     }
 }
 
-/// Formats coverage in dBm, and the numbers of traced positions and links.
+/// Formats the cells below the header of [`place_in_scene`]: coverage in dBm, numbers of traced positions and links.
 fn format_cells(coverage: f64, positions: usize, links: usize) -> Vec<String> {
     vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
 }

@@ -7,7 +7,7 @@ use pwrfgs::data::read_transmitters;
 use pwrfgs::experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::{read_model, run_stage};
-use pwrfgs::tasks::plan::Places;
+use pwrfgs::tasks::plan::PlanInput;
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
@@ -31,16 +31,17 @@ pub(crate) struct PositionOptions {
 }
 
 /// Reads the positions that the arguments name.
-pub(super) fn read_positions(arguments: &PositionOptions, progress: &mut RunProgress) -> Result<Places> {
-    let places = arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| read_source(path, progress))?;
+pub(super) fn read_positions(arguments: &PositionOptions, progress: &mut RunProgress) -> Result<PlanInput> {
+    let positions =
+        arguments.source.as_ref().map_or_else(|| Ok(PlanInput::default()), |path| read_source(path, progress))?;
     let (candidates, path) = match (&arguments.candidates, &arguments.floor) {
         (Some(path), _) => (read_transmitters(path)?, path),
         (_, Some(path)) => (floor_positions(path, arguments.step, arguments.height)?, path),
-        _ => return Ok(places),
+        _ => return Ok(positions),
     };
-    let places = places.with_candidates(candidates, path)?;
-    let title = if places.title.is_empty() { stem(path) } else { places.title.clone() };
-    Ok(Places { title, ..places })
+    let positions = positions.with_candidates(candidates, path)?;
+    let title = if positions.title.is_empty() { stem(path) } else { positions.title.clone() };
+    Ok(PlanInput { title, ..positions })
 }
 
 /// Returns the name of a file without its extension.
@@ -49,18 +50,18 @@ fn stem(path: &Path) -> String {
 }
 
 /// Reads the positions of a data folder, run folder or model.
-fn read_source(path: &Path, progress: &mut RunProgress) -> Result<Places> {
+fn read_source(path: &Path, progress: &mut RunProgress) -> Result<PlanInput> {
     if let Some(source) = recognise(path) {
         let data = run_stage(progress, "data", |progress| source.load(Path::new(""), progress))?;
-        return Places::of_data(data).map_err(in_file(path));
+        return PlanInput::of_data(data).map_err(in_file(path));
     }
     // Sweeps and unfinished runs have errors of their own.
     if path.is_dir() && ![MODEL_FILE, PIPELINE, LISTING].iter().any(|name| path.join(name).is_file()) {
         let advice = "name a data folder (layouts: docs/data.md), a run folder or a model file";
         return Err(Error::input(path, format!("neither data nor a run found; {advice}")));
     }
-    let places = Places::of_model(&read_model(path)?, &stem(path));
-    places.ok_or_else(|| Error::input(path, "has no training positions; name the data folder of its training"))
+    let positions = PlanInput::of_model(&read_model(path)?, &stem(path));
+    positions.ok_or_else(|| Error::input(path, "has no training positions; name the data folder of its training"))
 }
 
 /// Creates positions on a grid over the floor of the scene in `path`, outside its objects, in rows of alternating
