@@ -84,7 +84,7 @@ impl Factored {
             }
             _ => None,
         };
-        // Uniform within ±√(3/n): the variance of the inputs is kept, if `start` finds no whitening.
+        // Uniform within ±√(3/n): the variance of the inputs is kept, if `start` computes no whitening.
         let white = matches!(tx_encoding, Encoder::Features(..))
             .then(|| plan.linear_within("tx.white", tx_width, tx_width, (3.0 / tx_width as f64).sqrt()));
         let stack = (0..self.depth).map(|l| plan.linear_before_relu(&format!("tx.{l}"), inputs(l), width)).collect();
