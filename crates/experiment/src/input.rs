@@ -65,7 +65,7 @@ pub(crate) fn apply_changes(draft: &mut PipelineEdit, changes: &[Change], folder
 /// # Errors
 /// An invalid argument.
 pub(crate) fn apply_arguments(draft: &mut PipelineEdit, set: &[String]) -> Result<()> {
-    let changes: Vec<Change> = set.iter().map(|argument| Change::argument(argument)).collect::<Result<_>>()?;
+    let changes: Vec<Change> = set.iter().map(|argument| Change::parse_argument(argument)).collect::<Result<_>>()?;
     apply_changes(draft, &changes, Path::new("")).map_err(EditFault::in_arguments)
 }
 

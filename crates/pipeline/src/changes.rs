@@ -8,7 +8,7 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, Visitor};
 use std::borrow::Cow;
 use std::fmt;
 
-/// Number of characters of a text that a message repeats.
+/// Largest number of characters of a text that a message repeats.
 const LONGEST: usize = 200;
 
 /// Pipeline path, such as `training.steps` or `pruners.LearnableMask.lambda`, and its new value.
@@ -35,7 +35,7 @@ impl Change {
     ///
     /// # Errors
     /// [`Error::Config`] if there is no `=`.
-    pub fn argument(argument: &str) -> Result<Self> {
+    pub fn parse_argument(argument: &str) -> Result<Self> {
         let name = format!("--set {}", shortened(argument));
         let Some((path, value)) = argument.split_once('=') else {
             return Err(Error::Config(format!("{name}: write it as path.to.field=value")));

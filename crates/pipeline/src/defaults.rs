@@ -80,7 +80,7 @@ pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
     metrics
 }
 
-/// Returns the metrics in the columns of `validation.csv`.
+/// Returns the metrics of `validation.csv`, whose columns are `Headline::columns`: the first metric has all three, or two.
 pub fn validation(task: Task) -> Vec<Plugin<dyn Metric>> {
     match task {
         Task::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],

@@ -120,7 +120,7 @@ impl Pipeline {
     /// Returns the image plane of one observation of `data`; for spectra, the plane of the projector.
     ///
     /// # Errors
-    /// The projector does not support the data.
+    /// The projector does not support the elevations, or the camera, of the data.
     pub fn plane(&self, data: &Dataset) -> Result<ImagePlane> {
         Stages::of(self.method(), data).map(|stages| stages.setup.plane)
     }

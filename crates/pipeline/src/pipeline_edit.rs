@@ -150,7 +150,8 @@ impl EditFault {
         Error::Config(self.to_string())
     }
 
-    /// Converts to an error of the file at `path` if it contains one of the changes or there are none.
+    /// Converts to an error of the file at `path` if that contains a blamed change or no change is blamed, otherwise without a
+    /// file.
     pub fn in_file(self, path: &Path) -> Error {
         let at = self.blamed.iter().rev().find_map(|change| change.at);
         if at.is_none() && !self.blamed.is_empty() {
@@ -199,7 +200,7 @@ impl Pipeline {
     /// Same as [`Self::change`].
     pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
         let changes: Result<Vec<Change>> =
-            arguments.iter().map(|argument| Change::argument(argument.as_ref())).collect();
+            arguments.iter().map(|argument| Change::parse_argument(argument.as_ref())).collect();
         self.change(&changes?)
     }
 

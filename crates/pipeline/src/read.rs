@@ -80,7 +80,7 @@ impl Pipeline {
         Ok(pipeline)
     }
 
-    /// Sets the fields that were `left_out` and whose default depends on others.
+    /// Sets the fields that were `left_out` and whose default depends on the task; those of spectra if the task is not known yet.
     ///
     /// # Errors
     /// A method with Gaussians has no initialiser.
@@ -180,8 +180,8 @@ impl Pipeline {
     }
 }
 
-/// Returns the first field of splats with a value other than its default, although [`Pipeline::method`] does not use
-/// it; `None` if there is none.
+/// Returns the first field of splats with a value other than its default, although the method without the field `method` does
+/// not use it; `None` if there is none, or if `method` is given.
 fn unused_field(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
     if pipeline.method.is_some() || pipeline.method().traits().rasterizer.is_some() {
         return None;

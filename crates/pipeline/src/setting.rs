@@ -64,7 +64,7 @@ impl<'a> Setting<'a> {
         Err(unknown_field_fault(&name, tree, plugin, here, step))
     }
 
-    /// Returns a new `value` of this setting. Adds the quotes around text or a path, and the parentheses after the name of a
+    /// Completes a new `value` of this setting to RON: adds quotes around text or a path, and parentheses after the name of a
     /// plugin, if they are omitted.
     pub(crate) fn complete_value(&self, value: &str) -> String {
         let (is_optional, kind) = match &self.kind {

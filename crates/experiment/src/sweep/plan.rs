@@ -208,7 +208,7 @@ impl ExperimentSource<'_> {
         apply_changes(&mut draft, &set.0, self.folder).map_err(|fault| fault.in_file(self.path))?;
         apply_arguments(&mut draft, self.set)?;
         let is_reserved = |change: Change| ["name", "seed"].contains(&change.field());
-        if self.set.iter().any(|argument| Change::argument(argument).is_ok_and(is_reserved)) {
+        if self.set.iter().any(|argument| Change::parse_argument(argument).is_ok_and(is_reserved)) {
             let problem = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
             return Err(Error::Config(problem.into()));
         }
