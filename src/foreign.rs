@@ -176,8 +176,8 @@ impl Baseline for Python {
         self.host()?.baseline(self)?.check_data(data)
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
-        self.host()?.baseline(self)?.fit(data, known)
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+        self.host()?.baseline(self)?.fit(data, fitting)
     }
 }
 

@@ -27,7 +27,7 @@ pub(crate) type Gain = Complex<Real>;
 /// single number counts as a vector of length 1.
 ///
 /// # Errors
-/// Not an array of numbers, or another shape; `name` begins the message.
+/// Not an array of numbers that `T` can hold, or another shape; `name` begins the message.
 pub(crate) fn input_array<'py, T: Element>(
     name: &str,
     value: &Bound<'py, PyAny>,
@@ -103,7 +103,7 @@ pub(crate) fn position(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3
     Ok([position[0], position[1], position[2]])
 }
 
-/// Reads positions `[.., 3]`, metres, finite.
+/// Reads positions `[N, 3]`, metres, finite.
 pub(crate) fn positions(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
     let positions: Vec<[f64; 3]> = numbers(name, value, &[None, Some(3)])?.as_chunks().0.to_vec();
     match positions.iter().position(|position| !position.iter().all(|v| v.is_finite())) {
@@ -112,7 +112,8 @@ pub(crate) fn positions(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f
     }
 }
 
-/// Reads poses `[.., 7]` as x, y, z in metres and quaternions x, y, z, w; also returns whether there is a single one.
+/// Reads one pose `[7]` or several `[N, 7]`: x, y, z in metres, and a quaternion x, y, z, w. Also returns whether the
+/// array is one pose.
 pub(crate) fn poses(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
     let is_single = axis_count(value)? == 1;
     let shape: &[Option<usize>] = if is_single { &[Some(7)] } else { &[None, Some(7)] };
@@ -205,7 +206,8 @@ impl<'a> ObservationShape<'a> {
     }
 }
 
-/// Checks the elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
+/// Reads the elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
+/// Raises an exception for invalid ones.
 pub(crate) fn read_elevation(py: Python<'_>, [first, last]: [f64; 2]) -> PyResult<Elevation> {
     let elevation = Elevation { first, last };
     elevation.fault().map_or(Ok(elevation), |fault| reject(py, &format!("elevation_deg {fault}")))
@@ -255,7 +257,8 @@ pub(crate) fn link_indices(name: &str, links: &Bound<'_, PyAny>, count: usize) -
     numbers::<i64>(name, links, &[None])?.into_iter().map(index).collect()
 }
 
-/// Converts the observations of links to a NumPy array; Ctrl-C interrupts it.
+/// Converts the observations of `links` (indices) to an array `[links, axes of one]`; Ctrl-C interrupts it. Raises an
+/// exception for too little memory, or a spectrum that cannot be read.
 pub(crate) fn observation_array<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let values_per_link = data.width * data.height;
     check_memory::<Real>(&[links.len(), values_per_link])?;

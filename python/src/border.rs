@@ -69,15 +69,16 @@ pub(crate) fn call_strategy<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// Performs `work` without the interpreter lock.
+/// Performs `work` without the interpreter lock. Raises an exception for its error or panic, and in a forked process.
 pub(crate) fn without_gil<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     check_not_forked()?;
     let done = py.detach(|| catch_unwind(AssertUnwindSafe(work)));
     python_result(py, done)
 }
 
-/// Performs `work` on a shared object without the interpreter lock: `work` returns `None` while the object is in use, and
-/// is tried again. Ctrl-C ends the waiting.
+/// Performs `work` on a shared object without the interpreter lock: `work` returns `None` while the object is in use,
+/// and is tried again. Ctrl-C ends the waiting. Inside a strategy call, an object in use is an error: the call would
+/// wait for itself.
 pub(crate) fn poll_work<T: Send>(py: Python<'_>, mut work: impl FnMut() -> Option<Result<T>> + Send) -> PyResult<T> {
     check_not_forked()?;
     loop {
@@ -97,8 +98,9 @@ pub(crate) fn poll_work<T: Send>(py: Python<'_>, mut work: impl FnMut() -> Optio
     }
 }
 
-/// Performs `work` on a separate thread, while this thread checks for Ctrl-C and passes events to `on_event`. After an
-/// interrupt or an exception in `on_event`, `work` is stopped and the exception is raised.
+/// Performs `work` on a separate thread, while this thread checks for Ctrl-C and passes events to `on_event`. An
+/// interrupt, or an exception in `on_event`, sets the flag at which `work` should stop, and is raised when `work` has
+/// ended.
 pub(crate) fn run_with_events<T: Send, E: Send>(
     py: Python<'_>,
     work: impl FnOnce(SyncSender<E>, &AtomicBool) -> Result<T> + Send,
@@ -128,7 +130,8 @@ pub(crate) fn run_with_events<T: Send, E: Send>(
     })
 }
 
-/// Performs a long `job` without the interpreter lock: Ctrl-C sets the flag, and `job` ends with `Error::Stopped`.
+/// Performs a long `job` without the interpreter lock: Ctrl-C sets the flag at which `job` should stop, and is raised
+/// when it has ended.
 pub(crate) fn run_stoppable<T: Send>(py: Python<'_>, job: impl FnOnce(&AtomicBool) -> Result<T> + Send) -> PyResult<T> {
     run_with_events::<T, ()>(py, |_, stop| job(stop), |()| Ok(()))
 }
@@ -190,8 +193,9 @@ fn new_exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
     exception.map_or_else(|error| error, PyErr::from_value)
 }
 
-/// Converts an error to an exception with its text after [`replace_flags`], and with `path`, `line` and `column` if it names
-/// a file. An exception that the error wraps is returned itself.
+/// Converts an error to an exception with its text after [`replace_flags`]: `InputError` for invalid input,
+/// `KeyboardInterrupt` after a stop, otherwise `Error`. It has `path`, `line` and `column` if the error names a file.
+/// An exception that the error wraps is returned itself.
 pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
     let is_input = error.is_input();
     let message = replace_flags(&error.to_string());
@@ -241,8 +245,8 @@ const PYTHON_TEXTS: [(&str, &str); 11] = [
     ("--accept ", "accept="),
 ];
 
-/// Returns a message with command-line flags replaced by the names of Python arguments: `no_grid` for `--no-grid`. Commands
-/// between backticks are unchanged.
+/// Returns a message with [`PYTHON_TEXTS`] replaced, and then command-line flags by names of Python arguments:
+/// `no_grid` for `--no-grid`. Flags of commands between backticks are unchanged.
 pub(crate) fn replace_flags(message: &str) -> String {
     let message = PYTHON_TEXTS.iter().fold(message.to_owned(), |message, (flag, text)| message.replace(flag, text));
     let is_command = |k: usize, part: &str| k % 2 == 1 && !part.starts_with("--");

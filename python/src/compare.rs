@@ -17,6 +17,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+/// Number of runs at a time: each uses all threads.
+const JOBS: usize = 1;
+
 /// Observer that logs the end of each run of a comparison.
 struct LoggedRuns<'a>(&'a SweepPlan);
 
@@ -38,19 +41,20 @@ struct ComparedData {
     text: String,
 }
 
-/// Performs the runs of a comparison and writes their report; with `dry_run`, only estimates their times.
+/// Performs the runs of a comparison and, if all have ended, writes their report; the text is empty otherwise. With
+/// `dry_run`, only estimates their times.
 fn perform(comparison: Comparison, dry_run: bool, keep_checkpoint: bool, stop: &AtomicBool) -> Result<ComparedData> {
     let Comparison { plan, partition, reference } = comparison;
     let (observer, indices) = (&mut TaskObserver(stop), (0..plan.runs.len()).collect::<Vec<usize>>());
     if dry_run {
         let seconds = estimate_run_seconds(&plan, &indices, observer).map_err(without_position)?;
-        let text = plan.estimate_table(&indices, &seconds, 1);
+        let text = plan.estimate_table(&indices, &seconds, JOBS);
         return Ok(ComparedData { folder: plan.folder, partition, runs: Vec::new(), text });
     }
     check_earlier_runs(&plan)?;
     check(&plan, &indices, observer).map_err(without_position)?;
     let mut session = Session { observer, stop, page: pwrfgs::PAGE, keep_checkpoint };
-    let ends = plan.execute(&indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
+    let ends = plan.execute(&indices, JOBS, &LoggedRuns(&plan), &mut session)?.runs;
     check_stopped(stop)?;
     let text = if plan.has_ended() {
         let _held = plan.claim()?;

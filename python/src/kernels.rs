@@ -91,6 +91,7 @@ fn read_primitives(
         quats: quats.as_chunks().0.to_vec(),
         opacities,
     };
+    // As `normalise_quat`, which would replace them by the identity.
     match inputs.quats.iter().position(|q| q.iter().map(|v| v * v).sum::<Real>().sqrt() <= 1e-12) {
         Some(i) => reject(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)")),
         None => Ok(inputs),
@@ -139,10 +140,10 @@ pub(crate) fn project<'py>(
     py.import("pwrfgs._types")?.getattr("Splats")?.call1(fields)
 }
 
-/// Renders; see `pwrfgs.rasterize`.
+/// Renders Gaussians with the real `signals` [N, C], and keeps the state of the backward pass; see `pwrfgs.rasterize`.
 #[pyfunction]
 #[pyo3(signature = (means, quats, scales, opacities, signals, pose, height, width, projector, rasterizer, elevation_deg))]
-#[allow(clippy::too_many_arguments)] // as above
+#[allow(clippy::too_many_arguments)] // columns with names, as Python has them
 pub(crate) fn draw<'py>(
     py: Python<'py>,
     means: &Bound<'py, PyAny>,

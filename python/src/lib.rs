@@ -65,7 +65,8 @@ mod _pwrfgs {
     use super::view::{View, view};
     use pyo3::prelude::*;
 
-    // Records the process, registers the host of Python strategies, and adds the constants of the build.
+    // Records the process, registers the host of Python strategies, forwards warnings, and adds the constants of the
+    // build.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         super::border::record_process(module.py())?;

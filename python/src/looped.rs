@@ -61,7 +61,7 @@ pub(crate) struct Trainer {
 }
 
 impl Trainer {
-    /// Calls `work` with exclusive access to the training, without the interpreter lock.
+    /// Calls `work` with exclusive access to the training, without the interpreter lock; waits for it as [`poll_work`].
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
         let mut work = Some(work);
         poll_work(py, || {
@@ -94,6 +94,7 @@ impl Trainer {
         let data = Arc::clone(&dataset.data);
         crate::strategies::forget_objects();
         let train = train.map(|train| dataset.indices("train", train)).transpose()?;
+        // Sorted, each link once.
         let train = train.map(|links| links.into_iter().collect::<BTreeSet<_>>().into_iter().collect());
         let begin = move |stop: &AtomicBool| -> Result<TrainerState> {
             let inner = pwrfgs::experiment::rebased(&inner, &base)?;
@@ -119,7 +120,7 @@ impl Trainer {
         if self.failed.load(Ordering::Relaxed) {
             return reject(py, "a step of this trainer has failed; create a new trainer");
         }
-        let mut begun = false;
+        let mut begun = false; // an exception while waiting is no failed step
         let report = self.with(py, |inner| {
             begun = true;
             inner.step()
@@ -130,11 +131,13 @@ impl Trainer {
         Ok(dict)
     }
 
+    /// Number of completed steps.
     #[getter]
     fn done(&self, py: Python<'_>) -> PyResult<u64> {
         self.with(py, |inner| Ok(inner.done()))
     }
 
+    /// Whether all steps are completed.
     #[getter]
     fn finished(&self, py: Python<'_>) -> PyResult<bool> {
         self.with(py, |inner| Ok(inner.finished()))

@@ -92,7 +92,7 @@ impl Model {
         receiver: Option<&Bound<'_, PyAny>>,
         [tx, rx_pose, features]: [Option<&Bound<'_, PyAny>>; 3],
     ) -> PyResult<Links> {
-        let (stages, receivers) = (self.stages(), &self.stages().setup.receivers);
+        let stages = self.stages();
         let (inputs, moving) = (stages.method.traits().inputs, stages.setup.moving);
         let reads_positions = inputs == 3; // x, y, z; otherwise the width of link features
         let (poses, features, is_single) = match (tx, rx_pose, features) {
@@ -123,16 +123,19 @@ impl Model {
                 return reject(py, &format!("{problem}; {advice}"));
             }
         };
-        let mut lead = if is_single { vec![] } else { vec![poses.len()] };
-        let receivers = match receiver {
-            Some(receiver) => vec![made::find_receiver(receiver, receivers)?],
-            None if receivers.len() == 1 => vec![0],
-            None => {
-                lead.push(receivers.len());
-                (0..receivers.len()).collect()
-            }
-        };
+        let receivers = self.receiver_indices(receiver)?;
+        let (positions, several) = ((!is_single).then_some(poses.len()), receivers.len() > 1);
+        let lead = positions.into_iter().chain(several.then_some(receivers.len())).collect();
         Ok(Links { poses, features, receivers, lead })
+    }
+
+    /// Returns the indices of the receivers of a call: that of `receiver`, or all without one.
+    fn receiver_indices(&self, receiver: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<usize>> {
+        let receivers = &self.stages().setup.receivers;
+        match receiver {
+            Some(receiver) => Ok(vec![made::find_receiver(receiver, receivers)?]),
+            None => Ok((0..receivers.len()).collect()),
+        }
     }
 }
 
@@ -208,7 +211,8 @@ impl Model {
         slf.py().import("pwrfgs._html")?.call_method1("model", (slf,))
     }
 
-    /// Positions of the training set, thinned, [K, 3] in metres; None if they are unknown.
+    /// Positions of the training set, thinned, [K, 3] in metres; None if they are unknown. Those of the first member of
+    /// an ensemble.
     #[getter]
     fn training_positions<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         let model = &self.ensemble.members()[0];
@@ -282,7 +286,8 @@ impl Model {
     }
 
     /// Gaussians in space, a named tuple of arrays: means [N, 3] (metres), quats [N, 4] (w, x, y, z), scales [N, 3]
-    /// (metres), opacities [N], signals [N] (complex64). Base parameters, or deformed for a transmitter at `tx`.
+    /// (metres), opacities [N], signals [N] (complex64). Base parameters, or deformed for a transmitter at `tx` [3],
+    /// metres. `member` is the index of an ensemble member.
     #[pyo3(signature = (tx=None, member=0))]
     fn gaussians<'py>(
         &self,
@@ -297,7 +302,7 @@ impl Model {
         let tx = tx.map(|tx| position("tx", tx)).transpose()?;
         let Activated { primitives, signals, .. } = without_gil(py, || Ok(model.gaussians(tx)))?;
         let (n, origin) = (primitives.len(), model.stages.origin);
-        let channels = signals.len().checked_div(n).unwrap_or(2);
+        let channels = signals.len().checked_div(n).unwrap_or(2); // 1: real signals; 2: real and imaginary parts
         let signal = |pair: &[Real]| Gain::new(pair[0], pair.get(1).copied().unwrap_or(0.0));
         let signals: Vec<Gain> = signals.chunks_exact(channels.max(1)).map(signal).collect();
         let means: Vec<f64> = primitives.means.iter().flat_map(|mean| origin.world(*mean)).collect();
@@ -325,7 +330,8 @@ impl Model {
         })
     }
 
-    /// Write the Gaussians as a PLY file for splat viewers, deformed for a transmitter at `tx`.
+    /// Write the Gaussians as a PLY file for splat viewers: base parameters, or deformed for a transmitter at `tx` [3],
+    /// metres.
     #[pyo3(signature = (path, tx=None))]
     fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
         without_gil(py, || {
@@ -356,7 +362,7 @@ impl Model {
         self.ensemble.gaussians()
     }
 
-    /// Size of the numbers in the model file, bytes.
+    /// Size of Gaussians and networks in a model file without compression, bytes.
     #[getter]
     fn bytes(&self) -> usize {
         self.ensemble.gaussian_bytes() + self.ensemble.network_bytes()

@@ -150,8 +150,9 @@ pub(crate) fn score(
     }
 }
 
-/// Converts a score table to a dict: `{predictor: {metric: {statistic: number}}}`.
-pub(crate) fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound<'py, PyDict>> {
+/// Converts a score table to a dict: `{predictor: {metric: {statistic: number}}}`. A metric of the whole model has one
+/// number in place of the statistics, and one that is not applicable has None.
+fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound<'py, PyDict>> {
     let scores = PyDict::new(py);
     for (p, name) in table.predictors.iter().enumerate() {
         let metrics = PyDict::new(py);
@@ -162,6 +163,7 @@ pub(crate) fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<B
                 [one] => metrics.set_item(&row.key, *one)?,
                 many => {
                     let cell = PyDict::new(py);
+                    // In the order of `ScoreCell::numbers`.
                     for (key, value) in ["mean", "median", "tail10"].iter().zip(many) {
                         cell.set_item(key, *value)?;
                     }
@@ -199,7 +201,8 @@ pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option
     Ok((text, scores.transpose()?))
 }
 
-/// Reads the name of a layout with its noise, dB. Raises an exception for noise that the layout does not have.
+/// Reads the name of a layout with its noise, dB. Raises an exception for an unknown layout, or noise that it does not
+/// have.
 fn read_layout(
     py: Python<'_>,
     layout: &str,
@@ -259,7 +262,8 @@ pub(crate) fn simulate(
     run_with_events(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
 }
 
-/// Returns the scene with the stated positions of transmitters, or poses of its receiver, if any: arrays or CSV files.
+/// Returns the scene with the stated transmitter positions `tx`, or receiver poses `rx_pose`, if any: arrays or CSV
+/// files. With `rx_pose`, `tx` is the position `[3]` of the fixed transmitter.
 fn stated_positions(
     scene: SceneFile,
     tx: Option<&Bound<'_, PyAny>>,

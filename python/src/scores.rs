@@ -4,7 +4,7 @@ use crate::arrays::{CHUNK, ObservationShape, array_shape, positions, vector};
 use crate::border::{input_error, parse_plugin, plugin_text, reject, run_stoppable, without_gil};
 use crate::data::Dataset;
 use pwrfgs::experiment::append_measurements;
-use pwrfgs::experiment::repeatability as work;
+use pwrfgs::experiment::repeatability::measure_repeatability;
 use pwrfgs_core::{
     Baseline, Elevation, End, Evaluation, FittingSet, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin,
     Plugin, Pose, Query, Real, Receiver, Scene, Scope, Task, Values, check_stopped,
@@ -17,6 +17,7 @@ use std::ops::RangeInclusive;
 
 /// Reads observations `[.., axes of one]` of `task`, one image each; `name` begins messages.
 fn read_images(name: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
+    // Any size gives the number of axes; a channel has two rows per antenna.
     let (py, shape, axes) = (value.py(), array_shape(value)?, task.shape((1, 2)).len());
     let Some(lead) = shape.len().checked_sub(axes) else {
         return reject(py, &format!("{name} has {} axes, but a {} has {axes}", shape.len(), task.singular));
@@ -32,7 +33,8 @@ fn read_images(name: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec
 /// Valid range of true spectra, with tolerance for rounding.
 const AMPLITUDES: RangeInclusive<Real> = -1e-6..=1.000_001;
 
-/// Scores predictions by a metric: (key, unit, per-sample values or one value) per measurement.
+/// Scores predictions by a metric: (key, unit, per-sample values or one value) per measurement. `kind` is the name of a
+/// task.
 #[pyfunction]
 pub(crate) fn measure<'py>(
     py: Python<'py>,
@@ -121,7 +123,7 @@ fn measurement_list(py: Python<'_>, measurements: Vec<Measurement>) -> PyResult<
     Ok(list)
 }
 
-/// Chamfer distance of two point sets [.., 3], m².
+/// Chamfer distance of two point sets [N, 3] and [P, 3], m².
 #[pyfunction]
 pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'_, PyAny>) -> PyResult<f64> {
     let real = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|v| v as Real)).collect::<Vec<_>>();
@@ -196,7 +198,7 @@ pub(crate) fn repeatability<'py>(
     metrics: Vec<String>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let metrics = metrics.iter().map(|text| parse_plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
-    let repeatability = run_stoppable(py, |stop| work::measure_repeatability(&dataset.data, &metrics, stop))?;
+    let repeatability = run_stoppable(py, |stop| measure_repeatability(&dataset.data, &metrics, stop))?;
     let summaries = PyDict::new(py);
     for (name, similarity) in [("near", &repeatability.near), ("far", &repeatability.far)] {
         let summary = PyDict::new(py);

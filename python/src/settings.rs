@@ -83,11 +83,12 @@ impl Pipeline {
         })
     }
 
+    /// Returns an independent copy.
     fn copied(&self) -> Self {
         Self { inner: Mutex::new(self.current()), base: self.base.clone() }
     }
 
-    /// Loads the data.
+    /// Loads the data of the pipeline, without warnings about them.
     fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
         let (data, source) = run_stoppable(py, |stop| {
             let source = rebased(&self.current(), &self.base)?.data;
@@ -143,7 +144,8 @@ pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<Strin
     without_gil(py, || (family.complete)(text).map_err(without_position))
 }
 
-/// All linked plugins, by kind.
+/// All linked plugins, by kind: dicts with kind, name, and docs, fields and text of the default. A plugin with a
+/// required field has no docs, fields and text.
 #[pyfunction]
 pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
@@ -176,7 +178,8 @@ pub(crate) fn field_list<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocF
     Ok(list)
 }
 
-/// Structs and enums of a pipeline by name: docs, and fields or variants.
+/// Structs and enums of a pipeline by name: docs, and fields, or variants as (name, docs, whether fields have names,
+/// fields).
 #[pyfunction]
 pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let mut docs_by_name: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();

@@ -44,7 +44,7 @@ impl SweepObserver for RunCounter {
 
 /// Performs a sweep, see `pwrfgs.sweep`; `send_event` is called with the number of ended runs. Returns the folder of every
 /// run, and of the joined model, with the exception of a failure. With `failures`, an executor has performed the runs of
-/// [`prepare_sweep`]: indices and reasons of those that failed.
+/// [`prepare_sweep`]: indices and reasons of those that failed, whose exceptions the caller has.
 #[pyfunction]
 #[pyo3(signature = (experiment, arguments, out, jobs, send_event, keep_checkpoint, failures=None))]
 #[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.sweep`

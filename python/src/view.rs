@@ -80,7 +80,8 @@ fn serve_panes(panes: Vec<ViewPane>, stop: &AtomicBool, started: &Sender<Result<
     }
 }
 
-/// Starts the live view of a model file, a run folder or a model, with another one or a baseline beside it.
+/// Starts the live view of a model file, a run folder or a model, with another one or a baseline beside it. A model
+/// that was loaded from a file or folder is opened from there, with the data of its run.
 #[pyfunction]
 #[pyo3(signature = (path, model, beside))]
 pub(crate) fn view(

@@ -192,8 +192,9 @@ def test_wrong_units_are_warned_of(tmp_path):
         with pytest.warns(UserWarning, match=words):
             made = pwrfgs.Dataset.from_arrays(TX, **data)
     made.save(tmp_path / "equal")
-    with pytest.warns(UserWarning, match="all 30 spectra are equal"):
+    with pytest.warns(UserWarning, match="all 30 spectra are equal") as caught:
         pwrfgs.Dataset.load(tmp_path / "equal")
+    assert {warning.filename for warning in caught} == {__file__}
     with pytest.warns(UserWarning, match="convert them to metres"):
         pwrfgs.Dataset.from_arrays(100 * TX, rssi=np.linspace(-60, -50, 30), receivers=ONE)
     with pytest.raises(pwrfgs.InputError, match="no such folder"):

@@ -182,7 +182,7 @@ impl IntervalCalibration {
         }
         let mut take = |name: &str| {
             let count = file.shape(name).and_then(|shape| shape.first().copied()).unwrap_or(0);
-            let scores = file.take(name, &[count.max(1), 2])?.as_chunks().0.to_vec();
+            let scores = file.take(name, &[count.max(1), 2])?.as_chunks().0.to_vec(); // rejects an empty tensor
             let is_ascending = scores.is_sorted_by(|a: &[Real; 2], b| a[0] <= b[0] && a[1] <= b[1]);
             if !is_ascending || scores[0].iter().any(|v| *v < 0.0) || scores[scores.len() - 1][1] != 1.0 {
                 return Err(format!("tensor `{name}` holds no ascending scores and shares from 0 to 1"));

@@ -20,7 +20,7 @@ pub enum Bits {
 ///
 /// Weights `[out, in]` of networks are I8 with a scale per row, or F16. Biases, Gaussians and training positions are F16. Scales,
 /// constants, residual processes and tensors that a network does not learn stay as they are. The calibration of intervals
-/// is left out.
+/// is left out, since it is that of the exact predictions.
 ///
 /// # Errors
 /// A number exceeds the range of 16 bits.

@@ -316,7 +316,7 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
 /// with a number that is not finite.
 fn take_training_positions(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
     let Some(count) = file.shape(name).map(|shape| shape.first().copied().unwrap_or(0)) else { return Ok(None) };
-    let positions = file.take(name, &[count.max(1), 3])?;
+    let positions = file.take(name, &[count.max(1), 3])?; // rejects an empty tensor
     Ok(TrainingPositions::of(positions.as_chunks().0.to_vec()))
 }
 

@@ -21,7 +21,7 @@ mod training_positions;
 
 pub use calibration::{HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 pub use ensemble::Ensemble;
-pub use model::{Model, Stages};
+pub use model::{MAX_PIXELS, Model, Stages};
 pub use prepared::Prepared;
 pub use residual_fit::KnownLinks;
 pub use residuals::{Kriged, ResidualProcess, Residuals, ShareGain};

@@ -75,7 +75,7 @@ impl DerefMut for Stages {
 }
 
 /// Maximum number of pixels of an image, to reject files that would exhaust the memory.
-const MAX_PIXELS: usize = 1 << 24;
+pub const MAX_PIXELS: usize = 1 << 24;
 /// Maximum number of receivers.
 const MAX_RECEIVERS: usize = 1 << 16;
 
@@ -153,7 +153,8 @@ impl Stages {
         self.method.layout(&self.setup)
     }
 
-    /// Returns the rows of `cloud` that can affect an observation.
+    /// Returns the rows of `cloud` that can affect an observation, given the factors `gate` `[N]` of pruners, `None`
+    /// for all 1.
     pub fn drawable(&self, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         self.method.drawable(&self.setup, cloud, gate)
     }

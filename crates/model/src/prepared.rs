@@ -56,7 +56,7 @@ impl<'a> Prepared<'a> {
         self.members.iter().map(|member| member.model)
     }
 
-    /// Returns receivers and measurement type.
+    /// Returns the measurement setup, which all models share.
     pub fn setup(&self) -> &'a MeasurementSetup {
         &self.members[0].model.stages.setup
     }
@@ -112,7 +112,8 @@ impl<'a> Prepared<'a> {
         self.predictions_of_many(queries).into_par_iter().zip(queries).map(correct).collect()
     }
 
-    /// Returns the prediction, as it is shown, corrected by the residual processes; unchanged without these.
+    /// Returns the prediction corrected by the residual processes, which first clamps spectra to [0, 1]; unchanged
+    /// without these.
     fn corrected(&self, mean: Image, query: Query<'_>) -> Image {
         let Some(residuals) = self.residuals else { return mean };
         let mut image = self.task().shown(mean);

@@ -9,7 +9,8 @@ use pwrfgs_core::kriging::{ProcessFit, ResidualTrend, fit_observations, fit_powe
 use pwrfgs_core::{Dataset, Error, FittingSet, Progress, Real, Result, check_stopped, evenly};
 use std::sync::atomic::AtomicBool;
 
-/// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
+/// Share of the variance of spectra that a coarse grid may lose (also in the docs of [`Kriged::stride`]), and the
+/// number of spectra that measure it.
 const LOST: f64 = 1e-3;
 const EXAMPLES: usize = 64;
 /// Number of links per prediction call.
@@ -71,7 +72,7 @@ impl Residuals {
         if choice.share == 0.0 {
             // The process stores whole observations, and not differences from predictions.
             refine(&mut grid, false);
-            samples.observe(&grid);
+            samples.resample(&grid);
         }
         let process = |(links, fit): (&Vec<usize>, &Option<ProcessFit>)| {
             let fit = fit.as_ref().filter(|fit| !links.is_empty() && fit.variance.is_finite())?;
@@ -236,7 +237,7 @@ impl<'a> Samples<'a> {
     }
 
     /// Samples the observations on another grid. The mean predictions become 0, since a share of 0 ignores them.
-    fn observe(&mut self, grid: &CoarseGrid) {
+    fn resample(&mut self, grid: &CoarseGrid) {
         self.observed = self.known.sampled(grid);
         (self.link_values, self.is_exact) = (grid.len(), grid.stride == 1);
         self.mean = vec![0.0; self.observed.len()];

@@ -71,12 +71,12 @@ impl Tensors {
         Self { note: serde_json::to_string(note).expect("plain data"), ..Self::default() }
     }
 
-    /// Adds a tensor; `values` fill `shape` row by row.
+    /// Adds a tensor; `values` must fill `shape`, row by row.
     pub fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<Real>) {
         self.insert(name, shape, Values::Reals(values));
     }
 
-    /// Adds a tensor of 8-bit integers; `values` fill `shape` row by row.
+    /// Adds a tensor of 8-bit integers; `values` must fill `shape`, row by row.
     pub fn put_short(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<i8>) {
         self.insert(name, shape, Values::Bytes(values));
     }
@@ -233,7 +233,8 @@ impl Tensors {
         Ok(read)
     }
 
-    /// Replaces 8-bit tensors that have scales by their values. Returns an error for scales of another shape or type.
+    /// Replaces 8-bit tensors that have scales by their values. Returns an error for scales of another shape or type,
+    /// or a scale that is not finite.
     fn restore_rounded(&mut self) -> Result<(), String> {
         let is_scaled = |name: &String| self.tensors.contains_key(&format!("{name}{SCALES}"));
         let short =

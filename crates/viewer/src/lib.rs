@@ -25,11 +25,12 @@ pub enum PageHost {
     Notebook,
 }
 
-/// Serves `sides` next to each other until `stop` is set; `ready` receives the address.
+/// Serves `sides` next to each other until `stop` is set or, in a browser, the last page is closed. `ready` receives
+/// the address.
 ///
 /// # Errors
 /// If the sides differ in task, receivers or size of the image plane, if the scene of the first is invalid, or if the
-/// system provides no port.
+/// system provides no port or no random numbers.
 pub fn view(mut sides: Vec<ViewPane>, host: PageHost, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
     if let Some((first, others)) = sides.split_first_mut() {
         first.add_surfaces()?;

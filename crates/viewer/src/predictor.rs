@@ -57,7 +57,7 @@ impl Predictor {
         }
     }
 
-    /// Returns whether the input is a position, as that of a baseline, not link features.
+    /// Returns whether the predictor takes a position, as every baseline does, and not link features.
     pub(crate) fn has_position_input(&self) -> bool {
         let has_position = |model: &Model| model.stages.method.traits().inputs == 3; // x, y, z
         self.ensemble().is_none_or(|ensemble| ensemble.members().iter().all(has_position))

@@ -61,7 +61,8 @@ impl ServerState {
     }
 
     /// Sends an event to all pages if the files of the run in `folder` changed since `times`, which it updates: those
-    /// of the curve, and of model or checkpoint. Returns whether the final model exists.
+    /// of the curve, and of model or checkpoint. Returns whether the run has finished: its model and `run.json` can be
+    /// read.
     fn send_change(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
         let training = training_folder(folder).1;
         let modified = |path: PathBuf| std::fs::metadata(path).and_then(|file| file.modified()).ok();

@@ -38,7 +38,8 @@ pub(super) fn moving_poses(
     }
 }
 
-/// Reads the receivers: one or a list of `Receiver`, or positions; one at the origin if none are given.
+/// Reads the receivers: one or a list of `Receiver`, or positions, whose names are `r0`, `r1` and so on; one at the
+/// origin if none are given. A single receiver without a name is called `receiver`.
 pub(super) fn read_receivers(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
     let Some(value) = value else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
     let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
@@ -69,7 +70,7 @@ fn list_items<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>
     value.try_iter().map_err(|error| input_error(value.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
-/// Creates the Python object of a receiver.
+/// Creates the object of a receiver, with its pose in the world frame; `class` is the Python class `Receiver`.
 pub(super) fn receiver_object<'py>(
     class: &Bound<'py, PyAny>,
     origin: Origin,
@@ -84,7 +85,8 @@ pub(super) fn receiver_object<'py>(
 /// names them.
 pub(super) fn warn_findings(py: Python<'_>, data: &Dataset, accepted: Option<&[String]>) -> PyResult<()> {
     let warnings = py.import("warnings")?;
-    let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
+    // Level 1 names the line of Python that made the call: functions in Rust have no level.
+    let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 1)).map(drop);
     let findings = without_gil(py, || {
         let findings = collect_findings(data, None)?;
         accepted.map_or(Ok(()), |accepted| reject_findings(&findings, accepted)).map(|()| findings)
@@ -119,18 +121,19 @@ pub(super) fn spectrum_elevation(
 ) -> PyResult<Elevation> {
     let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| read_elevation(py, angles))?;
     if let Some(spectra) = observations.spectra() {
-        let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
-        if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
+        let (size, setting) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
+        if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, setting) {
             return reject(py, &format!("a spectrum {fault}"));
         }
     }
     Ok(elevation)
 }
 
-/// Reads received powers, dBm, as links with their observations; NaN is a missing link.
+/// Reads received powers `[poses, receivers]`, dBm, or `[poses]` for one receiver, as links with their observations.
+/// NaN is a missing link.
 ///
 /// # Errors
-/// An invalid power, or a transmitter or receiver without a link.
+/// Another shape, an invalid power, or a transmitter or receiver without a link.
 pub(super) fn read_powers(
     rssi: &Bound<'_, PyAny>,
     poses: &[Pose],
@@ -165,7 +168,10 @@ pub(super) fn read_powers(
     reject(rssi.py(), &problem)
 }
 
-/// Reads the channels of `count` links, with their subcarrier frequencies.
+/// Reads the channels `[count, A, F]` of links, with their subcarrier frequencies `[F]`, Hz.
+///
+/// # Errors
+/// Real numbers, another shape, or frequencies that are missing or not above 0.
 pub(super) fn read_channels(
     csi: &Bound<'_, PyAny>,
     count: usize,

@@ -60,7 +60,8 @@ impl Dataset {
         py.import("pwrfgs._types")?.getattr(class)?.call1(fields)
     }
 
-    /// Returns the data set of the links of a list, a mask or a slice, in ascending order.
+    /// Returns the data set of the links of a list, a mask or a slice, in ascending order. Raises an exception for a
+    /// repeated link.
     pub(super) fn select_links(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
         let links = py.import("pwrfgs._types")?.call_method1("as_indices", (links, self.data.len()))?;
         let mut links = self.indices("links", &links)?;
@@ -77,7 +78,8 @@ impl Dataset {
         Ok(Self { subset_of, ..Self::new(data, None) })
     }
 
-    /// Returns the state for [`Self::restore`]: the source of data that stay in their file, otherwise all columns.
+    /// Returns the state for [`Self::restore`]: the source of data that stay in their file, otherwise all columns, by
+    /// the keys that [`Self::restore_columns`] reads.
     pub(super) fn pickled_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (data, state) = (&self.data, PyDict::new(py));
         let is_in_file = data.observations.bytes_in_memory() == 0;
@@ -103,6 +105,7 @@ impl Dataset {
         state.set_item("geodetic", data.scene.geodetic.map(|zero| (zero.latitude, zero.longitude)))?;
         state.set_item("accepted", &data.accepted)?;
         state.set_item("official", data.official.clone())?;
+        // A tuple, since simulated data may have no scene.
         state.set_item("simulation", data.simulation.as_ref().map(|simulation| (simulation.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
         state.set_item("camera", data.camera().map(|camera| (camera.focal, camera.centre)))?;
@@ -136,7 +139,7 @@ impl Dataset {
         Self::restore_columns(py, state)
     }
 
-    /// Restores a data set from its columns.
+    /// Restores a data set from the columns of [`Self::pickled_state`].
     fn restore_columns(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
         let get = |name: &str| state.as_any().get_item(name);
         let (ids, receiver): (Vec<u32>, Vec<usize>) = (get("ids")?.extract()?, get("receiver")?.extract()?);
@@ -182,7 +185,7 @@ impl Dataset {
 
 /// Converts a partition to the named tuple `Partition`.
 pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
-    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
+    let list = |set: &[usize]| vector(py, set.iter().map(|i| *i as i64).collect::<Vec<i64>>());
     let sets = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
     py.import("pwrfgs._types")?.getattr("Partition")?.call1(sets)
 }

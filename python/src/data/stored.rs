@@ -8,8 +8,9 @@ use pwrfgs_core::{Dataset as Data, Error, Result, recognise};
 use std::path::Path;
 
 impl Dataset {
-    /// Writes the new folder `path`, or finds the same data there; returns their source as RON. If no layout holds the data, the
-    /// folder lists their links in the data set of which they are a part.
+    /// Writes the new folder `path`, unless an earlier call has written these data to it (its name is their digest);
+    /// returns their source as RON. If no layout holds the data, the folder lists their links in the data set of which
+    /// they are a part.
     pub(super) fn write_for_run(&self, path: &Path) -> Result<String> {
         let file = path.join(LINKS);
         let stored = || match &self.subset_of {

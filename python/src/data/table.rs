@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// Reads a table, or several, with the options of `pwrfgs import --table`.
+/// Reads a table, or several, with the options of `Dataset.from_table`; None is as no option.
 pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Data> {
     let mut import = TableImport { files: read_files(table)?, title: "table".into(), ..TableImport::default() };
     let mut accepted = Vec::new();
@@ -27,7 +27,7 @@ pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>
     Ok(Data { accepted, ..imported.data })
 }
 
-/// Sets one option.
+/// Sets the option `key` of `import`. Raises an exception for an unknown one, or an invalid value.
 fn set_option(import: &mut TableImport, key: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
     let ColumnChoice { x, y, z, lat, lon, floor, tx_id, receiver, power, time, wide } = &mut import.columns;
     // Names of columns are texts or, as pandas has them, numbers.

@@ -4,15 +4,12 @@ use super::Model;
 use crate::arrays::{numbers, positions, read_elevation};
 use crate::border::{input_error, parse_plugin, reject, without_gil};
 use crate::strategies::{check_keys, read_cloud};
-use pwrfgs::model::{Ensemble, Stages, TrainingPositions};
+use pwrfgs::model::{Ensemble, MAX_PIXELS, Stages, TrainingPositions};
 use pwrfgs_core::{
     Conditions, Dataset as Data, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Sample, Spectra, rng,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-
-/// Largest number of pixels of a spectrum, as in model files.
-const MOST_PIXELS: usize = 1 << 24;
 
 /// Returns the index of a receiver, given its name or index.
 pub(super) fn find_receiver(receiver: &Bound<'_, PyAny>, receivers: &[Receiver]) -> PyResult<usize> {
@@ -30,7 +27,8 @@ pub(super) fn find_receiver(receiver: &Bound<'_, PyAny>, receivers: &[Receiver])
     reject(py, &format!("invalid receiver index {index} (expected 0 to below {})", receivers.len()))
 }
 
-/// Returns weights in the layout of the method: initial values, or those of `given` by name.
+/// Returns weights in the layout of the method: initial values, replaced by those of `given` by name. Raises an
+/// exception for a name without a tensor, or another shape.
 fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<Real>> {
     let layout = stages.layout();
     let mut weights = layout.init(&mut rng::stream(0, "network", 0));
@@ -75,10 +73,11 @@ pub(crate) fn model_of(
     let origin = Origin::for_receiver(position, all_positions);
     let cloud = read_cloud(cloud, origin)?;
     let elevation = read_elevation(py, elevation_deg)?;
-    if !(1..=MOST_PIXELS).contains(&height.saturating_mul(width)) {
+    if !(1..=MAX_PIXELS).contains(&height.saturating_mul(width)) {
         return reject(py, &format!("an image of {height} by {width} pixels cannot be rendered"));
     }
     let stages = without_gil(py, || {
+        // Stages need data: one empty spectrum. Their origin is replaced, since that of the data ignores the Gaussians.
         let receiver = Receiver::new(name, Pose { position, orientation });
         let spectra = Spectra::grey((width, height), vec![0; width * height])?;
         let data = Data::of_links("arrays", vec![receiver], vec![], &[Sample::new(1, position)], spectra.into())?;

@@ -14,7 +14,8 @@ use std::time::Instant;
 const CHUNK: usize = 16;
 
 impl Model {
-    /// Warns of positions that are far from all training positions; an error in a forked process.
+    /// Warns of positions that are far from all training positions, if these are known. Raises an exception in a forked
+    /// process.
     pub(super) fn warn_of_extrapolations(&self, py: Python<'_>, links: &Links) -> PyResult<()> {
         if !links.features.is_empty() {
             return Ok(());
@@ -37,7 +38,8 @@ impl Model {
         if let Some(level) = interval {
             return self.predict_interval(py, links, level);
         }
-        // A single link as on the command line, many in groups that share work: bit-identical.
+        // One link is predicted as on the command line, several in groups that share work. The results are
+        // bit-identical.
         self.predicted_array(py, links, |queries, numbers| match queries {
             [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
             queries => self.prepared().predict_into(queries, numbers),
@@ -77,7 +79,7 @@ impl Model {
             let images = ready.predict_many(queries);
             for ((query, image), numbers) in queries.iter().zip(images).zip(numbers.chunks_exact_mut(count)) {
                 numbers.copy_from_slice(&image.pixels);
-                let deviation = ready.deviation(*query).unwrap_or(1.0); // equal for all without an estimate
+                let deviation = ready.deviation(*query).unwrap_or(1.0); // equal for all, as in the calibration
                 let interval = factors.interval(setup.task, &setup.task.shown(image), deviation);
                 ends[0].extend(interval.lower.pixels);
                 ends[1].extend(interval.upper.pixels);
@@ -135,18 +137,18 @@ impl Model {
         }
         let count = self.stages().setup.value_count();
         let cotangents = self.shape(links).read("vjp", cotangents)?;
+        let one = |(query, (cotangent, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
+            let predicted = ready.predict_vjp(*query, |_| cotangent.to_vec());
+            let (image, [x, y, z], orientation) = predicted.expect("a model with a derivative");
+            numbers.copy_from_slice(&image.pixels);
+            let [qx, qy, qz, qw] = orientation.unwrap_or_default();
+            [x, y, z, qx, qy, qz, qw]
+        };
         let mut slopes: Vec<[f64; 7]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
             // Chunks come in order, so that the next cotangents follow those of the slopes so far.
             let remaining = &cotangents[slopes.len() * count..];
             let rows = remaining.par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));
-            let one = |(query, (cotangent, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
-                let predicted = ready.predict_vjp(*query, |_| cotangent.to_vec());
-                let (image, [x, y, z], orientation) = predicted.expect("a model with a derivative");
-                numbers.copy_from_slice(&image.pixels);
-                let [qx, qy, qz, qw] = orientation.unwrap_or_default();
-                [x, y, z, qx, qy, qz, qw]
-            };
             slopes.par_extend(queries.par_iter().zip(rows).map(one));
         };
         let observed = self.predicted_array(py, links, work)?;
@@ -183,8 +185,8 @@ struct Batches {
 }
 
 impl Model {
-    /// Creates an iterator over the predictions of `size` links each; an error for invalid settings, before the first
-    /// prediction.
+    /// Creates an iterator over the predictions of `size` positions each, with intervals of the level `interval` if it
+    /// is given. Raises an exception for invalid settings before the first prediction.
     pub(super) fn start_batches<'py>(
         model: &Bound<'py, Self>,
         links: Links,

@@ -75,6 +75,7 @@ impl Baseline for Strategy {
 struct Predictor {
     instance: Py<PyAny>,
     task: Task,
+    /// Columns and rows of an observation.
     size: (usize, usize),
 }
 
@@ -122,7 +123,7 @@ impl Metric for Strategy {
     }
 }
 
-/// Converts observations of one size to an array.
+/// Converts observations of one size to an array `[images, axes of one]`.
 fn stack_images<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
     let rows = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
     let size = images.first().map_or((0, 0), |image| (image.width, image.height));

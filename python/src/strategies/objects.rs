@@ -6,7 +6,7 @@ use pwrfgs_core::{COLUMN_NAMES, CloudStats, Dataset, ExtraColumn, GaussianCloud,
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Converts Gaussians to the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` are writable.
+/// Converts Gaussians to the Python class `Cloud`: new arrays, which a strategy may keep, read-only unless `writable`.
 pub(crate) fn cloud_object<'py>(py: Python<'py>, cloud: &GaussianCloud, writable: bool) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.columns().map(|(name, _, values)| (name, values.to_vec()));
     columns_object(py, cloud.len(), columns, writable)
@@ -38,12 +38,14 @@ fn columns_object<'py, 'a>(
 }
 
 /// Reads Gaussians from unconstrained columns by name; converts `means` from the world frame to that of `origin`.
+/// Columns with other names become extra columns.
 pub(crate) fn read_cloud(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResult<GaussianCloud> {
     let need = |name: &str| columns.as_any().get_item(name);
     let means = crate::arrays::positions("means", &need("means")?)?;
     let n = means.len();
     let mut cloud = GaussianCloud::zeros(n);
     cloud.means = means.iter().map(|mean| origin.local(*mean)).collect();
+    // All but the first, the means.
     for (name, width, values) in cloud.columns_mut().skip(1) {
         values.copy_from_slice(&finite_numbers(name, &need(name)?, &column_shape(n, width))?);
     }
@@ -107,7 +109,7 @@ pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]
     py.import("pwrfgs._types")?.getattr("Links")?.call1(fields)
 }
 
-/// Returns the NumPy random generator, with a seed drawn from `random`.
+/// Returns a NumPy random generator, with a seed of 62 bits drawn from `random`.
 pub(super) fn numpy_generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
 }

@@ -10,7 +10,8 @@ use pwrfgs_core::{Budget, CloudStats, Gate, GaussianCloud, Needs, Pruner, Pruner
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-/// Statistics that a pruner may request, by name, with fixed settings.
+/// Statistics that a pruner may request, by name, with fixed settings; `Pruner.needs` in Python describes them. Above
+/// `most` Gaussians, the elimination is not computed, since its cost grows with the square of their number.
 const STATISTICS: [(&str, Statistic); 9] = [
     ("weight", Statistic::Weight),
     ("largest_weight", Statistic::LargestWeight),
@@ -51,13 +52,13 @@ impl Strategy {
                 return Ok(None);
             }
             let refuse = |given: &str| input_error(py, &format!("{method} returned {given}, expected {form}, or None"));
-            let Ok(parts) = result.cast::<PyTuple>() else { return Err(refuse(&class_name(&result))) };
+            let Ok(parts) = result.cast::<PyTuple>() else { return Err(refuse(&describe_class(&result))) };
             if !(2..=3).contains(&parts.len()) {
                 return Err(refuse(&format!("{} entries", parts.len())));
             }
             let slopes = parts.get_item(1)?;
             let Ok(slopes) = slopes.cast::<PyDict>() else {
-                return Err(refuse(&format!("{} as its derivatives", class_name(&slopes))));
+                return Err(refuse(&format!("{} as its derivatives", describe_class(&slopes))));
             };
             let (columns, slopes) = self.read_slopes(slopes, cloud, method)?;
             let word = parts.get_item(2).and_then(|word| word.extract()).ok();
@@ -95,9 +96,19 @@ impl Strategy {
     }
 }
 
-/// Returns the class of a value, as words for a message.
-fn class_name(value: &Bound<'_, PyAny>) -> String {
+/// Describes the class of a value for a message.
+fn describe_class(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "something else".into(), |name| format!("a value of {name}"))
+}
+
+/// Returns the cotangents of columns, given the derivatives `slopes` of factor i by row i of each column, and the
+/// cotangents `d_factor` of the factors `[N]`.
+fn gate_vjp(slopes: &[Vec<Real>], d_factor: &[Real]) -> Vec<Vec<Real>> {
+    let column = |slopes: &Vec<Real>| {
+        let width = slopes.len().checked_div(d_factor.len()).unwrap_or(1).max(1);
+        slopes.iter().enumerate().map(|(k, slope)| slope * d_factor[k / width]).collect()
+    };
+    slopes.iter().map(column).collect()
 }
 
 impl Pruner for Strategy {
@@ -158,13 +169,7 @@ impl Pruner for Strategy {
             if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
                 return reject(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1"));
             }
-            let vjp = move |cotangents: Vec<Vec<Real>>| {
-                let rows = |slopes: &Vec<Real>| {
-                    let width = slopes.len().checked_div(n).unwrap_or(1).max(1);
-                    slopes.iter().enumerate().map(|(k, slope)| slope * cotangents[0][k / width]).collect()
-                };
-                slopes.iter().map(rows).collect()
-            };
+            let vjp = move |cotangents: Vec<Vec<Real>>| gate_vjp(&slopes, &cotangents[0]);
             let gate = op(columns, vec![factor], vjp).remove(0);
             match word.as_deref() {
                 None => Ok(Gate::Whole(gate)),

@@ -73,7 +73,8 @@ impl Member<'_> {
         self.run_in_pool(|| self.run_call(&[query], |call| method.forward(call, &self.ready)))
     }
 
-    /// Returns the derivatives by position and orientation, given the cotangents of the observation.
+    /// Returns the derivatives by position and orientation, given the cotangents `d` of the observation; 0 by an
+    /// orientation that the method does not differentiate.
     fn vjp(&self, query: Query<'_>, observed: ForwardOutput, d: &[Real]) -> ([f64; 3], [f64; 4]) {
         let method = &self.model.stages.method;
         let orientations = method.traits().differentiates_orientations;

@@ -126,7 +126,8 @@ struct HeldOutPart<'a> {
 }
 
 impl HeldOutPart<'_> {
-    /// Returns some held-out links, evenly chosen, each with the errors of all candidates fitted to the links `trained`.
+    /// Returns some held-out links, evenly chosen, each with the errors of all candidates fitted to the links
+    /// `trained`; empty without such links.
     fn errors(&self) -> Vec<(usize, Vec<CaseError>)> {
         let Self { samples, held_out, trained, .. } = self;
         if trained.is_empty() {

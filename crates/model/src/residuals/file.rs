@@ -54,7 +54,7 @@ impl ResidualsNote {
         let process = |process: &ResidualProcess| {
             let ProcessFit { trend, variance, correlation } = process.fit;
             let Correlation { kind, scales: [x, y, z, _], noise } = correlation;
-            let path_loss = trend.path_loss.map(|(law, _)| [law.level, law.slope]);
+            let path_loss = trend.path_loss.map(|(model, _)| [model.level, model.slope]);
             let (links, share) = (process.len(), trend.share);
             ProcessNote { links, share, variance, correlation: kind, scales_m: [x, y, z], noise, path_loss }
         };
@@ -133,11 +133,12 @@ impl ProcessNote {
                 "residuals: length scales of {scales_m:?} m and noise of {noise}, expected at least {LEAST:e}"
             ));
         }
-        if path_loss.is_some_and(|law| !task.has_path_loss || !law.iter().all(|v| v.abs() <= MOST_DB)) {
+        if path_loss.is_some_and(|model| !task.has_path_loss || !model.iter().all(|v| v.abs() <= MOST_DB)) {
             return Err(format!("residuals: a path loss of {path_loss:?} for {}", task.plural));
         }
         let [x, y, z] = scales_m;
         let path_loss = path_loss.map(|[level, slope]| (PathLoss { level, slope }, receiver.pose.position));
+        // Time has no effect: its scale is infinite.
         let correlation = Correlation { kind: correlation, scales: [x, y, z, f64::INFINITY], noise };
         Ok(ProcessFit { trend: ResidualTrend { share, path_loss }, variance, correlation })
     }

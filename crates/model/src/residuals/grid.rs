@@ -39,8 +39,8 @@ impl CoarseGrid {
         rows.flat_map(|row| row.iter().step_by(self.stride).copied())
     }
 
-    /// Returns the squared error of restored `images`, or of their restored differences from the mean if `is_centred`, in parts
-    /// of their variance about the mean; 0 without variance.
+    /// Returns the share of the variance of `images` about their mean that the grid loses: the squared error of
+    /// restored images, or of restored differences from the mean if `is_centred`. 0 without variance.
     pub(crate) fn lost_share(&self, images: &[Vec<Real>], is_centred: bool) -> f64 {
         let mut mean = vec![0.0; self.rows.len() * self.columns.len()];
         let share = 1.0 / images.len().max(1) as Real;

@@ -85,12 +85,12 @@ fn room_bundle(side: &ViewPane, state: &ServerState) -> TensorBundle {
 fn describe_side(side: &ViewPane) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
-    let splats = ensemble.is_some_and(|e| e.is_drawn_as(Appearance::Ellipsoids));
+    let has_ellipsoids = ensemble.is_some_and(|e| e.is_drawn_as(Appearance::Ellipsoids));
     json!({
         "name": side.name,
         "gaussians": ensemble.map(|ensemble| ensemble.gaussians()),
         "members": ensemble.map_or(1, |ensemble| ensemble.members().len()),
-        "ellipsoids": splats,
+        "ellipsoids": has_ellipsoids,
         "by_position": predictor.as_ref().is_none_or(|predictor| predictor.has_position_input()),
         "baseline": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
         "snapshots": read_snapshots(side).iter()
@@ -135,7 +135,7 @@ fn contributions(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     let links = &stages.setup.inputs(inputs, std::iter::once(stages.query(tx, receiver)));
     let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };
     let truth = vec![0.0; stages.setup.value_count()];
-    let needs = Needs::of(&[Statistic::Weight], 0);
+    let needs = Needs::of(&[Statistic::Weight], 0); // 0: of all transmitters, here the only one
     let call = Call { setup: &stages.setup, parameters, links, pixels: &PixelSubset::All };
     let statistics = stages.method.survey(&call, &truth, &needs);
     strengths.iter().zip(&statistics.weight).map(|(s, w)| s * w).collect()
@@ -202,12 +202,12 @@ fn prediction_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult 
 }
 
 /// Returns the query for the requested position, or for the requested link if the model takes other inputs or the
-/// receiver turns; `None` without such an input.
+/// receiver moves; `None` without such an input.
 fn requested_query<'a>(side: &'a ViewPane, parameters: &QueryParams, predictor: &Predictor) -> Option<Query<'a>> {
     let loaded = side.loaded.as_deref();
-    let turns = loaded.is_some_and(|loaded| loaded.data.scene.moving.is_receiver()); // a sample has its own pose
+    let moves = loaded.is_some_and(|loaded| loaded.data.scene.moving.is_receiver()); // a link has its own pose
     match (parameters.tx.filter(|_| predictor.has_position_input()), parameters.link) {
-        (Some(tx), link) if link.is_none() || !turns => Some(side.setup.query(tx, parameters.receiver)),
+        (Some(tx), link) if link.is_none() || !moves => Some(side.setup.query(tx, parameters.receiver)),
         (_, link) => loaded.and_then(|loaded| link.filter(|i| *i < loaded.data.len()).map(|i| loaded.data.query(i))),
     }
 }
@@ -259,12 +259,11 @@ fn map_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
         let count = (length / step).round().max(1.0);
         [corners[0][k] + 0.5 * step, corners[0][k] + (count - 0.5) * step]
     };
-    let bounds = PlaneBounds([centres(0, width), centres(1, height)]);
-    let grid = PlaneGrid::new(MapPlane { axis: 2, coordinate: z }, bounds, step, 1)
-        .map_err(|e| bad_request(&e.to_string()))?;
+    let (bounds, quantities) = (PlaneBounds([centres(0, width), centres(1, height)]), &[MapQuantity::Power]);
+    let plane = MapPlane { axis: 2, coordinate: z }; // axis 2 is z
+    let grid = PlaneGrid::new(plane, bounds, step, quantities.len()).map_err(|e| bad_request(&e.to_string()))?;
     let predict = |queries: &[Query<'_>]| predictor.predict_many(queries);
-    let (receivers, quantities) = (&[parameters.receiver], &[MapQuantity::Power]);
-    let request = MapRequest { setup: &side.setup, grid: &grid, receivers, quantities };
+    let request = MapRequest { setup: &side.setup, grid: &grid, receivers: &[parameters.receiver], quantities };
     let layers = request.layers(&predict, |_| {});
     let first = data.scene.origin.local(grid.position(0));
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
