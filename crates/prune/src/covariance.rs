@@ -60,7 +60,7 @@ fn determinant(m: &[[f64; 3]; 3]) -> f64 {
     m[0][0] * minor(1, 2) - m[0][1] * minor(0, 2) + m[0][2] * minor(0, 1)
 }
 
-/// Returns the rotation matrix of a quaternion of any length; the identity for a quaternion close to zero.
+/// Returns the rotation matrix of a quaternion w, x, y, z of any length; the identity for a quaternion close to zero.
 fn rotation_matrix(q: [f64; 4]) -> [[f64; 3]; 3] {
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
     let [w, x, y, z] = if norm > 1e-12 { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] };
@@ -71,7 +71,7 @@ fn rotation_matrix(q: [f64; 4]) -> [[f64; 3]; 3] {
     ]
 }
 
-/// Returns the quaternion of a rotation matrix, from its largest component (Shepperd's method).
+/// Returns the quaternion w, x, y, z of a rotation matrix, from its largest component (Shepperd's method).
 fn quat_from_matrix(r: &[[f64; 3]; 3]) -> [f64; 4] {
     let trace = r[0][0] + r[1][1] + r[2][2];
     let squares = [trace, r[0][0], r[1][1], r[2][2]];

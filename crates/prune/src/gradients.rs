@@ -1,6 +1,6 @@
 //! Pruners whose scores include the gradient of the position.
 
-use crate::rounds::{quantile, ranking_traits};
+use crate::common::{quantile, ranking_traits};
 use crate::settings::check_share;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, sigmoid,
@@ -52,8 +52,8 @@ impl Pruner for TrimmingTheFat {
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
-        let ranks = [ranks(&cloud.opacity_logits), ranks(&mean_gradients(stats, cloud.len()))];
-        ranks[0].iter().zip(&ranks[1]).map(|(a, b)| a.max(*b)).collect()
+        let (opacity, gradient) = (ranks(&cloud.opacity_logits), ranks(&mean_gradients(stats, cloud.len())));
+        opacity.iter().zip(&gradient).map(|(a, b)| a.max(*b)).collect()
     }
 
     fn check(&self) -> Result<(), String> {
@@ -126,6 +126,7 @@ impl Pruner for Taming3dgs {
             (50.0, stats.requested.weight.clone()),
         ];
         let mut sums = vec![0.0; n];
+        // A requested statistic is empty if the pass did not compute it.
         for (weight, values) in terms.iter().filter(|(_, values)| values.len() == n) {
             let positive: Vec<Real> = values.iter().copied().filter(|v| *v > 0.0).collect();
             let median = quantile(&positive, 0.5);

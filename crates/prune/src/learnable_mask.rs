@@ -4,7 +4,7 @@
 //! This file is the worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the
 //! tape of the step. dfdx differentiates; the file contains no derivative by hand.
 
-use crate::rounds::{learned_column, shortened_rate};
+use crate::common::{learned_column, shortened_rate};
 use crate::settings::{check_rate, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
@@ -204,6 +204,7 @@ impl LearnableMask {
             second = beta2 * second + (1.0 - beta2) * slope * slope;
             let unbias = |beta: f64| 1.0 - beta.powf(step as f64);
             let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
+            // Adam divides λ/N out of the gradient; without it, the step is multiplied by N.
             m -= rate * if self.adam { adam } else { lambda * slope };
             if sigmoid(m) < threshold {
                 return step;

@@ -6,6 +6,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod common;
 mod control_gs;
 mod covariance;
 mod gaussian_spa;
@@ -19,7 +20,6 @@ mod mini_splatting;
 mod natural_selection;
 mod pup_3dgs;
 mod references;
-mod rounds;
 mod settings;
 mod shares;
 mod thresholds;

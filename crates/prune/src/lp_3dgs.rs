@@ -1,6 +1,6 @@
 //! Learned mask on top of an importance score.
 
-use crate::rounds::{logistic_noise, quantile, shortened_rate};
+use crate::common::{logistic_noise, quantile, shortened_rate};
 use crate::settings::{check_rate, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
@@ -90,7 +90,7 @@ impl Pruner for Lp3dgs {
             .then(|| keep_logits(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    /// Updates the importance of the Gaussians without changing the Gaussians; `None` without statistics or Gaussians.
+    /// Sets the column of importance from the requested statistic; `None` without statistic or Gaussians.
     fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Option<CloudEdit> {
         let importance = &stats.requested.largest_weight;
         if importance.len() != cloud.len() || cloud.is_empty() {

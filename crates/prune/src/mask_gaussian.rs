@@ -1,6 +1,6 @@
 //! Pruner with one Bernoulli sample per Gaussian and step; masked Gaussians still learn.
 
-use crate::rounds::{learned_column, logistic_noise, shortened_rate};
+use crate::common::{learned_column, logistic_noise, shortened_rate};
 use crate::settings::{check_rate, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{

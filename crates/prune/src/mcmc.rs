@@ -87,7 +87,8 @@ impl Pruner for Mcmc {
         }
         let n = cloud.len();
         let opacities: Vec<f64> = cloud.opacity_logits.iter().map(|o| f64::from(sigmoid(*o))).collect();
-        let mut alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(FAINT)).collect();
+        let is_opaque = |i: &usize| opacities[*i] > f64::from(FAINT);
+        let mut alive: Vec<usize> = (0..n).filter(is_opaque).collect();
         if alive.is_empty() {
             alive = (0..n).collect(); // if all are faint, none counts as faint
         }
@@ -99,13 +100,13 @@ impl Pruner for Mcmc {
         }
         let mut random = rng::stream(context.seed, "pruner Mcmc", context.step);
         let drawn = draw_by_opacity(&alive, &opacities, n - alive.len() + added, &mut random);
-        let mut shared = vec![1usize; n];
+        let mut shared = vec![1usize; n]; // Gaussians at the position of each row
         drawn.iter().for_each(|&i| shared[i] += 1);
         // Faint Gaussians take the positions of the first draws, new rows those of the others.
         let mut sources = drawn.into_iter();
         let mut rows: Vec<RowOrigin> = (0..n).map(RowOrigin::Kept).collect();
         for (i, row) in rows.iter_mut().enumerate() {
-            if alive.len() < n && opacities[i] <= f64::from(FAINT) {
+            if alive.len() < n && !is_opaque(&i) {
                 *row = RowOrigin::Copied(sources.next().expect("one draw per faint Gaussian"));
             }
         }
@@ -144,7 +145,7 @@ fn draw_by_opacity(alive: &[usize], opacities: &[f64], count: usize, random: &mu
 /// they blend as one Gaussian of `opacity`; eq. (9) of 3DGS-MCMC.
 fn shared_opacity_and_scale(opacity: f64, k: usize) -> (f64, f64) {
     let k = k.min(50); // for larger k, rounding dominates the alternating sum
-    let shared = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
+    let shared = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6); // a finite logit
     let mut sum = 0.0;
     for i in 1..=k {
         let mut binomial = 1.0;

@@ -1,6 +1,6 @@
 //! Pruners by blending weight: weighted random sample, cumulated weight or quantile.
 
-use crate::rounds::{quantile, requested_statistic, rounded_share};
+use crate::common::{quantile, requested_statistic, rounded_share};
 use crate::settings::check_share;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best, rng,
@@ -115,7 +115,7 @@ impl Pruner for MiniSplatting {
     }
 }
 
-/// Returns whether each Gaussian is kept: all except the `share` with the lowest scores.
+/// Returns whether each Gaussian is kept: all except the `share` with the lowest scores, rounded down to whole ones.
 fn keep_without_lowest(scores: &[Real], share: Real) -> Vec<bool> {
     let removed = rounded_share(scores.len(), share).floor() as usize;
     best(scores.len() - removed.min(scores.len()), scores, |_| true)

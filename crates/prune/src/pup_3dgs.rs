@@ -1,6 +1,6 @@
 //! Pruner by the sensitivity of the spectra to position and scale.
 
-use crate::rounds::ranking_traits;
+use crate::common::ranking_traits;
 use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 

@@ -1,6 +1,6 @@
 //! Reference strategies: random removal as the lower reference, and greedy elimination as the upper reference.
 
-use crate::rounds::{ranking_traits, requested_statistic};
+use crate::common::{ranking_traits, requested_statistic};
 use pwrfgs_core::{
     CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, PrunerTraits, Real, Statistic, StepContext,
     rng,

@@ -1,7 +1,7 @@
 //! Pruners that rank Gaussians by their effect on the spectra: blending weight (LightGaussian), contributed signal
 //! (`SignalContribution`), or sensitivity (`SpeedySplat`).
 
-use crate::rounds::{quantile, ranking_traits, requested_statistic};
+use crate::common::{quantile, ranking_traits, requested_statistic};
 use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 

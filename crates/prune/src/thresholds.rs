@@ -1,7 +1,7 @@
 //! Pruners by threshold or budget: low opacity, low blending weight, low rank in every pixel, or a fixed number of best-scored
 //! Gaussians.
 
-use crate::rounds::requested_statistic;
+use crate::common::requested_statistic;
 use crate::settings::check_share;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best,

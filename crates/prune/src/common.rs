@@ -41,7 +41,7 @@ pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
 
 /// Draws `n` samples of the logistic distribution, which is that of the difference of two Gumbel samples.
 pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Vec<Real> {
-    const EDGE: Real = 1e-6;
+    const EDGE: Real = 1e-6; // keeps logarithms finite
     let draw = |_| pwrfgs_core::rng::uniform(random).clamp(EDGE, 1.0 - EDGE);
     (0..n).map(draw).map(|u| u.ln() - (1.0 - u).ln()).collect()
 }
