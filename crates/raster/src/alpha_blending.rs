@@ -144,9 +144,11 @@ fn tile_at<'a>(lists: &'a TileLists, t: usize, splats: SignalSplats<'a>) -> Tile
     Tile { splats: geometry, signals, channels, plane, list, rows, corner: lists.corner(t) }
 }
 
-/// Sums the cotangents `parts` of each of `n` splats over its tiles, in tile order, independent of the threads.
+/// Sums the cotangents `parts`, one row of [`GEOMETRY`] and `channels` numbers per entry of `lists.splats`, of each of `n`
+/// splats over its tiles, in tile order, independent of the threads.
 fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) -> RenderVjp {
     let stride = GEOMETRY + channels;
+    // Lists the rows of splat i in `slots[first[i]..first[i + 1]]`, by a counting sort.
     let mut first = vec![0usize; n + 1];
     for &i in &lists.splats {
         first[i as usize + 1] += 1;

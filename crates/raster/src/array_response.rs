@@ -103,7 +103,7 @@ impl Rasterizer for ArrayResponse {
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         let antennas = self.antennas(plane);
-        Some(Arc::new(Steered { waves: antennas.waves(splats), beams: beams(&antennas, plane) }))
+        Some(Arc::new(Steered { waves: antennas.waves(splats), beams: cached_beams(&antennas, plane) }))
     }
 
     fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
@@ -144,6 +144,7 @@ impl Rasterizer for ArrayResponse {
             *opacity = array_field_vjp(splats.opacities[i], signal, wave, &d_field, d_signals, &mut d_wave);
             (*mean, *conic, *depth) = antennas.wave_vjp(splats, i, wave, &d_wave);
             let strength: Real = wave.iter().map(|[re, im]| re.hypot(*im)).sum();
+            // In place of the sum of blending weights: opacity times mean amplitude, for every pixel.
             *weight = splats.opacities[i] * strength / elements as Real * (plane.width * plane.height) as Real;
         });
         out
@@ -186,9 +187,9 @@ impl ArrayResponse {
 }
 
 /// Returns the beams of the array at every pixel, from the cache or computed and added to it.
-fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
+fn cached_beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
     let find = |tables: &[CachedTable]| {
-        let is_equal = |table: &&CachedTable| table.0.0 == antennas.positions && table.0.1 == *plane;
+        let is_equal = |((positions, drawn), _): &&CachedTable| *positions == antennas.positions && drawn == plane;
         tables.iter().find(is_equal).map(|(_, beams)| Arc::clone(beams))
     };
     if let Some(beams) = find(&TABLES.read().unwrap_or_else(PoisonError::into_inner)) {
@@ -200,7 +201,7 @@ fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
         return stored; // another thread was faster; all threads share its table
     }
     tables.insert(0, ((antennas.positions.clone(), plane.clone()), Arc::clone(&beams)));
-    // The oldest tables go first.
+    // The oldest tables go first: after one without room, all are dropped.
     let mut room = KEPT * beams.block_count() * plane.sampling.stride.pow(2);
     tables.retain(|(_, beams)| {
         let fits = beams.block_count() <= room;

@@ -153,7 +153,7 @@ impl Tile<'_> {
                 let alpha = splat.with_existence(raw);
                 let before = t.signed[row];
                 let weight = t.blend(row, &alpha);
-                let drawn = if splat.existence == 1.0 { weight } else { t.live_lanes(row, &raw) };
+                let drawn = if splat.existence == 1.0 { weight } else { t.live_alpha(row, &raw) };
                 let mut q = [0.0; TILE];
                 for (c, s) in signal.iter().enumerate() {
                     let g = &d_pixels[c * TILE + row];
@@ -277,10 +277,9 @@ impl Transmittance {
         lanes(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
     }
 
-    /// Returns the lanes in which the splat just blended is drawn for any existence factor: `alpha`, and 0 in opaque
-    /// pixels.
+    /// Returns `alpha`, γ of the splat just blended without its existence factor; 0 in pixels that are now final.
     #[inline(always)]
-    fn live_lanes(&self, row: usize, alpha: &PixelRow) -> PixelRow {
+    fn live_alpha(&self, row: usize, alpha: &PixelRow) -> PixelRow {
         lanes(|lane| if self.signed[row][lane] > 0.0 { alpha[lane] } else { 0.0 })
     }
 

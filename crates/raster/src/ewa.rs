@@ -16,7 +16,8 @@ pub struct ViewTransform {
     pub offset: Vec3,
 }
 
-/// Distance in standard deviations at which the most opaque Gaussian falls below 1/255: √(2 ln 255).
+/// Distance in standard deviations at which the most opaque Gaussian falls below 1/255: √(2 ln 255); also in
+/// `gpu/src/draw/project.wgsl`.
 const REACH: Real = 3.329_042_1;
 
 /// Projection of receiver coordinates (metres) to pixels: pixel position, its Jacobian J, and the derivative of J. The

@@ -7,7 +7,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Lower limit of cos(elevation) in the Jacobian: cos 89.5°.
+/// Lower limit of cos(elevation) in the Jacobian: cos 89.5°. `gpu/src/draw/project.wgsl` has the same limits.
 const COS_FLOOR: Real = 0.008_726_535_498_373_935;
 /// Smallest ratio of distance from the axis to range for which azimuth is defined; below it azimuth is 0.
 const ON_AXIS: Real = 1e-6;
@@ -93,7 +93,7 @@ impl Projector for Mercator {
 }
 
 impl Mercator {
-    /// Returns the constants of the projection to a whole image, for kernels on other devices: the rotation
+    /// Returns the constants of the projection to a whole image, in the order of `gpu/src/draw/project.wgsl`: the rotation
     /// `receiver_from_world` row by row (9), the offset (3, metres), columns and rows per radian, columns, rows between
     /// elevation 0 and row 0, filter (px²), nearest distance (metres), and the sine of the lowest elevation.
     pub fn constants(&self, pose: &Pose, plane: &ImagePlane) -> [Real; 19] {

@@ -16,10 +16,10 @@ pub(crate) struct SurveyTile<'a, 'b> {
     pub(crate) survey: &'b SurveyInputs<'b>,
 }
 
-/// Inputs of the derivative with respect to γ in a tile: the slopes of the readout `[channels][PIXELS]`, and the sum behind
-/// the current splat `[PIXELS]`.
+/// Inputs of the derivative with respect to γ in a tile: the derivatives of the readout by the channels `[channels][PIXELS]`,
+/// and their product with the image behind the current splat, `[PIXELS]`.
 struct Slopes {
-    pixels: Vec<Real>,
+    readout: Vec<Real>,
     q_behind: Vec<Real>,
     channels: usize,
 }
@@ -29,21 +29,21 @@ impl Slopes {
     fn new(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
         let (_, slopes) = survey_tile.survey.slopes?;
         let Tile { channels, plane, corner, .. } = *survey_tile.tile;
-        let (mut pixels, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
-        gather_tile(slopes, plane, corner, &mut pixels);
+        let (mut readout, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
+        gather_tile(slopes, plane, corner, &mut readout);
         gather_tile(survey_tile.drawn, plane, corner, &mut drawn);
         let mut q_behind = vec![0.0; PIXELS];
-        for (k, (slope, value)) in pixels.iter().zip(&drawn).enumerate() {
+        for (k, (slope, value)) in readout.iter().zip(&drawn).enumerate() {
             q_behind[k % PIXELS] += slope * value;
         }
-        Some(Self { pixels, q_behind, channels })
+        Some(Self { readout, q_behind, channels })
     }
 
     /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, given the transmittance before the splat, γ, and its weight; removes
     /// the splat from the sum.
     #[inline(always)]
     fn pixel_derivative(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
-        let q: Real = (0..self.channels).map(|c| signal[c] * self.pixels[c * PIXELS + p]).sum();
+        let q: Real = (0..self.channels).map(|c| signal[c] * self.readout[c * PIXELS + p]).sum();
         self.q_behind[p] -= weight * q;
         before * q - self.q_behind[p] / (1.0 - alpha)
     }

@@ -182,7 +182,7 @@ struct Ellipse {
 }
 
 impl Ellipse {
-    /// Returns the ellipse of splat `i`; `None` if it reaches no pixel.
+    /// Returns the ellipse of splat `i`; `None` if the splat is not drawn.
     #[inline(always)]
     fn new(splats: &Splats, i: usize) -> Option<Self> {
         let opacity = splats.opacities[i];

@@ -137,8 +137,8 @@ impl Beams {
     }
 }
 
-/// Returns each antenna with the opposite one, if there is one, and the number of antennas that differ from their opposite:
-/// an antenna at the receiver position has no sine and comes last.
+/// Returns pairs of an antenna and the opposite one, if there is one, with each antenna once, and the number of pairs that
+/// have a sine: an antenna at the receiver position has none and comes last.
 fn opposite_antennas(positions: &[Vec3]) -> (Vec<(usize, Option<usize>)>, usize) {
     let mut pairs = Vec::new();
     let mut is_paired = vec![false; positions.len()];
@@ -210,6 +210,7 @@ impl pulp::WithSimd for Back<'_> {
     fn with_simd<S: pulp::Simd>(self, simd: S) {
         let Beams { functions, pixels, .. } = *self.beams;
         let cosines = self.beams.pairs.len();
+        // The four quarters of a block add to the same lanes.
         let mut sums = vec![[0.0; LANES / 4]; self.d_coefficients.len()];
         for (table, first_half, opposite) in self.beams.blocks() {
             for (channel, d_out) in self.d_out.chunks_exact(pixels).enumerate() {

@@ -171,10 +171,10 @@ impl Antennas {
         let Some(wavelength) = self.wavelength else { return (TAU * along, p * TAU, 0.0) };
         let r = distance / wavelength;
         let square = p.length_squared();
-        let distance = (r * r - 2.0 * r * along + square).max(CLOSEST * CLOSEST).sqrt();
-        // Computes `distance - r` without cancellation.
-        let extra = (square - 2.0 * r * along) / (distance + r);
-        (-TAU * extra, p * (TAU * r / distance), TAU * (extra + along) / (distance * wavelength))
+        let to_antenna = (r * r - 2.0 * r * along + square).max(CLOSEST * CLOSEST).sqrt(); // wavelengths, as `r`
+        // Computes `to_antenna - r` without cancellation.
+        let extra = (square - 2.0 * r * along) / (to_antenna + r);
+        (-TAU * extra, p * (TAU * r / to_antenna), TAU * (extra + along) / (to_antenna * wavelength))
     }
 
     /// Returns x of the factor exp(−x) by which width attenuates the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
