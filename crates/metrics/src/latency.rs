@@ -1,6 +1,6 @@
 //! Prediction time, stage by stage.
 
-use crate::measurement;
+use crate::create_measurement;
 use pwrfgs_core::numbers::number;
 use pwrfgs_core::statistics::{median, sorted};
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, StageTimes, Values};
@@ -52,6 +52,7 @@ const STEADY: f64 = 1.5;
 /// Difference of times that is always steady, seconds.
 const EXACT: f64 = 2e-5;
 
+/// Key of a stage and its time, seconds.
 type Stage = (&'static str, fn(&StageTimes) -> f64);
 
 const TOTAL: &str = "latency_total_ms";
@@ -78,7 +79,7 @@ impl Metric for Latency {
             }
             Some(times) => Values::Whole(1e3 * median(times.iter().map(seconds))),
         };
-        let mut measurements = STAGES.map(|stage| measurement(stage.0, "ms", Goal::Lower, values(stage)));
+        let mut measurements = STAGES.map(|stage| create_measurement(stage.0, "ms", Goal::Lower, values(stage)));
         measurements[STAGES.len() - 1].note = note; // the total
         Ok(measurements.into())
     }
@@ -99,8 +100,9 @@ impl Metric for Latency {
 }
 
 impl Latency {
-    /// Times series of `repeats` predictions and returns the times of the first steady series, or of the fastest one.
-    /// Predictions start within `patience` seconds of the first warm-up, except the first.
+    /// Times up to [`SERIES`] series of `repeats` predictions, and returns the first steady one, or that of the smallest median.
+    /// No prediction except the first starts more than `patience` seconds after the first warm-up, and no further series
+    /// more than [`PATIENCE`] after it.
     fn time_predictions(&self, predict: &dyn Fn() -> StageTimes, patience: f64) -> Vec<StageTimes> {
         let begun = Instant::now();
         let in_time = |_: &usize| begun.elapsed().as_secs_f64() < patience;

@@ -55,11 +55,11 @@ fn check_paired(evaluation: &Evaluation<'_>) -> Result<()> {
 
 /// Returns a single measurement in the form of [`pwrfgs_core::Metric::evaluate`].
 fn single_measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
-    vec![measurement(key, unit, goal, values)]
+    vec![create_measurement(key, unit, goal, values)]
 }
 
 /// Creates a measurement without note.
-fn measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Measurement {
+fn create_measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Measurement {
     Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values, note: None }
 }
 

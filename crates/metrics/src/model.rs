@@ -1,6 +1,6 @@
 //! Metrics of the model: distance from the point cloud, eq. (16), number of Gaussians N, and size in bytes.
 
-use crate::{measurement, no_gaussians, not_a_model, single_measurement};
+use crate::{create_measurement, no_gaussians, not_a_model, single_measurement};
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
@@ -95,16 +95,17 @@ pub struct ModelSize {}
 #[typetag::serde]
 impl Metric for ModelSize {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let bytes = evaluation.model.map(|m| (m.gaussian_bytes, m.file_bytes));
         let size = |key, bytes: Option<usize>| {
             let values = match bytes {
                 None => not_a_model(),
                 Some(0) => no_gaussians(),
                 Some(bytes) => Values::Whole(bytes as f64),
             };
-            measurement(key, "B", Goal::Lower, values)
+            create_measurement(key, "B", Goal::Lower, values)
         };
-        Ok(vec![size("gaussian_bytes", bytes.map(|b| b.0)), size("model_bytes", bytes.map(|b| b.1))])
+        let model = evaluation.model;
+        let gaussians = size("gaussian_bytes", model.map(|model| model.gaussian_bytes));
+        Ok(vec![gaussians, size("model_bytes", model.map(|model| model.file_bytes))])
     }
 
     fn scope(&self) -> Scope {

@@ -1,6 +1,6 @@
 //! Metrics of received power and channels.
 
-use crate::{check_paired, measurement, score_samples, single_measurement, unsupported_task};
+use crate::{check_paired, create_measurement, score_samples, single_measurement, unsupported_task};
 use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -82,11 +82,12 @@ impl Energies {
         Self { error: self.error + other.error, signal: self.signal + other.signal }
     }
 
-    /// Returns the SNR in dB; 0 for a channel of zeros, whatever the prediction.
+    /// Returns the SNR in dB, at most [`PERFECT`]; 0 for a channel of zeros, whatever the prediction.
     fn snr(self) -> f64 {
         match self {
             Self { signal: 0.0, .. } => 0.0,
-            Self { error, signal } => (-10.0 * (error / signal).log10()).min(PERFECT),
+            // Unlike `min`, `clamp` keeps NaN.
+            Self { error, signal } => (-10.0 * (error / signal).log10()).clamp(f64::NEG_INFINITY, PERFECT),
         }
     }
 }
@@ -94,7 +95,7 @@ impl Energies {
 #[typetag::serde]
 impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let measured = |key, values| measurement(key, "dB", Goal::Higher, values);
+        let measured = |key, values| create_measurement(key, "dB", Goal::Higher, values);
         if let Some(values) = unsupported_task(self, evaluation) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
@@ -108,7 +109,7 @@ impl Metric for ChannelSnr {
         let rows: Vec<usize> = (0..each.len()).collect();
         for rows in rows.chunk_by(|a, b| transmitter(*a) == transmitter(*b)) {
             let snapshot = rows.iter().fold(Energies::default(), |sum, i| sum.plus(each[*i]));
-            snapshots.extend(rows.iter().map(|_| snapshot.snr()));
+            snapshots.extend(rows.iter().map(|_| snapshot.snr())); // one value per link
         }
         let whole = each.iter().fold(Energies::default(), |sum, energies| sum.plus(*energies));
         let over_all =
@@ -166,5 +167,6 @@ mod tests {
         assert_eq!(measured[1].values, Values::Whole(-10.0 * (2.0_f64 / 51.0).log10()));
         let exact = Evaluation { predictions: &truths, ..evaluation };
         assert_eq!(ChannelSnr {}.evaluate(&exact).unwrap()[1].values, Values::Whole(PERFECT));
+        assert!(Energies { error: f64::NAN, signal: 1.0 }.snr().is_nan());
     }
 }
