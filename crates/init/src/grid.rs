@@ -54,8 +54,7 @@ impl Initializer for Grid {
             (centre + world_from_receiver * direction * self.distance_m).to_array()
         };
         let means: Vec<[Real; 3]> = directions(self.count, lowest).into_iter().map(centre_along).collect();
-        // Each Gaussian has 2π or 4π over count of solid angle; the square root is the side of that patch at unit
-        // distance.
+        // Side of the patch of solid angle per Gaussian at unit distance, as in [`directions`].
         let spacing = (consts::TAU * (1.0 - lowest.sin() as Real) / self.count as Real).sqrt();
         let scales = vec![self.overlap * spacing * self.distance_m; means.len()];
         Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
@@ -67,7 +66,7 @@ impl Initializer for Grid {
 
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
-        start::check_positive("distance_m", self.distance_m, "metres from the receiver")?;
+        start::check_positive("distance_m", self.distance_m, "metres from the centre of the grid")?;
         start::check_positive("overlap", self.overlap, "scale over spacing, about 1")?;
         start::check_opacity(self.opacity)
     }

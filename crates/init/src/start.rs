@@ -43,7 +43,7 @@ pub(crate) fn check_opacity(opacity: Real) -> Result<(), String> {
     if (1e-6..=1.0 - 1e-6).contains(&opacity) {
         return Ok(());
     }
-    Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"))
+    Err(format!("`opacity` is {opacity}; give a number from 0.000001 to 0.999999, such as 0.1"))
 }
 
 /// Rejects values that are not above 0, or whose products overflow single precision. `meaning` ends the message.
