@@ -97,9 +97,7 @@ fn run_graph(
         d_weights: Rc::clone(&d_weights),
         stats: Rc::clone(&stats),
     };
-
     let loss = graph.observed_loss(&traced, gates, objective);
-
     let value = loss.array();
     let penalty_value = penalty.as_ref().map_or(0.0, AsArray::array);
     if !(value + penalty_value).is_finite() {
