@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
+/// Note of a process that ends before its work has stopped.
 const AT_ONCE: &str = "stopped immediately; repeat the command to resume";
 /// Time for work other than training to stop.
 const GRACE: Duration = Duration::from_secs(1);

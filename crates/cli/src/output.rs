@@ -75,7 +75,7 @@ pub(crate) fn print_result(text: &str) -> Result<()> {
     }
 }
 
-/// Sends the logs of libraries to stderr: warnings, or all with `-v`; `RUST_LOG` overrides this.
+/// Sends logs to stderr: warnings; with `-v` also information, and debug output of pwrfgs. A valid `RUST_LOG` overrides this.
 pub(crate) fn start_logging(verbosity: Verbosity) {
     let level = match verbosity {
         Verbosity::Verbose => Targets::new().with_default(Level::INFO).with_target("pwrfgs", Level::DEBUG),

@@ -20,7 +20,7 @@ const LINE_OF_SEVERAL: Duration = Duration::from_secs(30);
 /// Period over which the speed is averaged.
 const WINDOW: Duration = Duration::from_secs(20);
 
-/// Shortest stage that is shown.
+/// Shortest stage that is shown; also the interval at which its seconds are redrawn.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Observer that shows the progress of a run.
@@ -32,7 +32,7 @@ pub(crate) struct RunProgress {
     bar: Option<ProgressBar>,
     /// Number of training steps.
     steps: u64,
-    /// Times and numbers of recent steps.
+    /// Times and numbers of recent steps that were shown.
     pace: VecDeque<(Instant, u64)>,
     /// Time of the last update of the bar or plain line.
     shown: Instant,
@@ -128,7 +128,7 @@ impl RunProgress {
         }
     }
 
-    /// Computes the steps per second over the last [`WINDOW`]; `None` before its second step.
+    /// Computes the steps per second over about the last [`WINDOW`]; `None` until two steps were shown.
     fn steps_per_second(&self) -> Option<f64> {
         let ((then, from), (now, to)) = (self.pace.front()?, self.pace.back()?);
         let seconds = (*now - *then).as_secs_f64();
@@ -142,7 +142,8 @@ impl RunProgress {
             _ = write!(words, "  N {}", grouped(report.gaussians as i64));
         }
         if let Some(v) = self.validation {
-            _ = write!(words, "  validation {} {:.3}", v.task.headline.name, v.values[0]);
+            let [mean, ..] = v.values;
+            _ = write!(words, "  validation {} {mean:.3}", v.task.headline.name);
         }
         if let Some(speed) = self.steps_per_second() {
             let left = format_duration((self.steps - report.step) as f64 / speed);

@@ -49,7 +49,7 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 The command prints the ranges of positions and values; for spectra, also unusual ones and a check of
 the recorded orientation. For each split, it prints the distance from test to training transmitters,
 the scores of the baselines and the noise ceiling. A pipeline sets data, split, baselines, metrics
-and seed; for a data folder, the defaults apply.
+and seed; for a data folder, the split of `pwrfgs init` and the defaults apply.
 
 EXAMPLES
   pwrfgs inspect pipelines/quickstart.ron
@@ -79,7 +79,7 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
 /// folder; also returns its data.
 fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pipeline, Dataset)> {
     let mut load =
-        |source: &Plugin<dyn DataSource>| run_stage(observer, "spectra", |bar| source.load(Path::new(""), bar));
+        |source: &Plugin<dyn DataSource>| run_stage(observer, "observations", |bar| source.load(Path::new(""), bar));
     let Some(source) = recognise(path) else {
         let pipeline = read_pipeline(&pipeline_file(path)?, set)?;
         let data = load(&pipeline.data)?;

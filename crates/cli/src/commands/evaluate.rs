@@ -116,7 +116,7 @@ fn score(
     progress.remove_bar();
     let mut result = scored?;
     let table = &mut result.scores.table;
-    table.samples[0] = count_training_samples(models);
+    table.samples[0] = count_training_samples(models); // those of the model
     table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, pipeline));
     let text = format_result(&result, ensemble, all);
     if let Some(folder) = folder {

@@ -71,7 +71,7 @@ pub(crate) struct Import {
         conflicts_with = "files"
     )]
     pub(crate) colormap: Option<Colormap>,
-    /// Mark the spectra as simulated in titles and tables
+    /// Mark the data as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
     /// Continue despite a finding that would stop the import; repeatable

@@ -27,8 +27,8 @@ the predictions at the training positions in the file, and there are no regions.
 Without OBSERVATIONS, the command locates the test samples of the model's data. It prints the errors
 of the model and of three baselines: nearest fingerprints, fingerprints predicted by Kriging, and
 the mean of the training positions. Above 10,000 training positions, --no-kriging saves most of the
-time. With OBSERVATIONS, the command prints the estimates and, if the run has validation
-samples, their errors.
+time. With OBSERVATIONS, the command prints the estimates and, if the run has validation samples,
+the errors of estimates for these samples.
 
 OBSERVATIONS
   spectra   .png, or .npy [B, height, width]

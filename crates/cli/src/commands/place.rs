@@ -16,8 +16,8 @@ use std::sync::atomic::AtomicBool;
 #[command(after_help = "\
 Coverage is the 10th percentile, over transmitters, of the power at the strongest receiver.
 In a simulated scene, `place` selects 1 to 3 receivers at any free positions and compares them with
-the best grid positions. In a data folder with received powers, `place` selects among the measured
-receivers and scores the selection on held-out transmitters.
+selected and random positions on a grid. In a data folder with received powers, `place` selects
+among the measured receivers and scores the selection on held-out transmitters.
 The command writes place.csv (choice, receiver, position, coverage) and place.png.
 
 EXAMPLES

@@ -90,5 +90,5 @@ fn rebuild_run_page(run: &Path, verbosity: Verbosity) -> Result<()> {
 /// Writes the report of a study and prints its tables.
 fn write_comparison(study: &Study, options: &ReportOptions, out: &Path, verbosity: Verbosity) -> Result<()> {
     let written = RunProgress::observe(verbosity, |progress| write(study, options, out, progress))?;
-    output::print_result(&format!("{written}\nreport: {}\n", out.join("report.html").display()))
+    output::print_result(&format!("{written}\nreport: {}\n", out.join(REPORT).display()))
 }

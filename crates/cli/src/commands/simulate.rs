@@ -74,7 +74,7 @@ pub(crate) struct Simulate {
     /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; other columns are ignored
     #[arg(long, value_name = "FILE", conflicts_with = "tx_csv")]
     pub(crate) rx_pose_csv: Option<PathBuf>,
-    /// Number of random transmitter positions [default: 1000]
+    /// Number of random transmitter positions, unless the scene lists positions [default: 1000]
     #[arg(long, value_name = "N", conflicts_with_all = ["tx", "tx_csv", "rx_pose", "rx_pose_csv"])]
     pub(crate) samples: Option<usize>,
     /// Random seed for transmitter positions and receiver noise

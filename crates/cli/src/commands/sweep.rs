@@ -1,6 +1,6 @@
 //! `pwrfgs sweep`: runs an experiment.
 
-mod table;
+mod progress;
 
 use super::options::ChangeOptions;
 use super::run::format_scores;
@@ -9,6 +9,7 @@ use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::program;
 use crate::progress::RunProgress;
 use clap::Args;
+use progress::{SweepProgress, has_failed};
 use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, run_pool, slurm};
 use pwrfgs::experiment::{RunOutcome, Session};
@@ -18,13 +19,12 @@ use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use table::{SweepTable, has_failed};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
-are validated, and their total time is estimated, before the first run starts. Repeat the command to
-resume: it skips finished runs and repeats failed runs. After the last run, it writes tables and
+are validated before the first run starts. The total time is estimated, unless the runs are short.
+Repeat the command to resume: it skips finished runs and repeats failed runs. After the last run, it writes tables and
 figures to DIR/report and, if the file sets `join: true`, an ensemble of all models to DIR/joined.
 docs/guide.md explains the file; `pwrfgs pipelines` also lists the shipped experiments.
 
@@ -177,12 +177,12 @@ impl SelectedRuns<'_> {
     pub(super) fn execute(self, reference: Option<&str>) -> Result<u8> {
         let Self { plan, indices, jobs, keep_checkpoint, all, verbosity } = self;
         let stop = stop_flag();
-        let board = SweepTable::new(plan, indices.len(), verbosity);
+        let progress = SweepProgress::new(plan, indices.len(), verbosity);
         let end = RunProgress::observe(verbosity, |observer| {
             let mut session = Session { observer, stop: &stop, page: pwrfgs::PAGE, keep_checkpoint };
-            plan.execute(indices, jobs, &board, &mut session)
+            plan.execute(indices, jobs, &progress, &mut session)
         });
-        board.remove_bar();
+        progress.remove_bar();
         #[cfg(feature = "report")]
         let has_ended = stop.load(Ordering::Relaxed) || plan.has_ended();
         #[cfg(feature = "report")]

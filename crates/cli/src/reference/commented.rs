@@ -18,7 +18,7 @@ pub(crate) struct Value {
 }
 
 impl Value {
-    /// Parses RON; the error states the problem with its byte position.
+    /// Parses RON; the error states the problem without its position.
     pub(crate) fn new(text: String) -> Result<Self, String> {
         Ok(Self { tree: RonTree::parse(&text)?, text })
     }

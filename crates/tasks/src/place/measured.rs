@@ -39,15 +39,10 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
         matrix.describe_missing(),
     ];
     let powers = MeasuredPowers { data, fitting: matrix.select(&train), held_out: matrix.select(&test) };
-    let [best, greedy] = run_stage(observer, "choosing receivers", |_| {
-        [best_subset(&powers.fitting, count), Some(greedy_subset(&powers.fitting, count))]
-    });
-    if best.is_none() {
+    let subsets = run_stage(observer, "choosing receivers", |_| search_subsets(&powers.fitting, count));
+    if subsets.len() == 1 {
         notes.push("more than 100,000 subsets: greedy choice only".into()); // the limit of `best_subset`
     }
-    let subsets = [("exhaustive", best), ("greedy", greedy)];
-    let subsets: Vec<(&str, ReceiverSubset)> =
-        subsets.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect();
     let mut choices: Vec<PlacedReceivers> =
         subsets.iter().map(|(name, subset)| powers.score_subset(name, subset)).collect();
     choices.extend(powers.reference_choices(count, settings.seed));
@@ -59,6 +54,13 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
     // In the order of the cells of `score_subset` and `reference_choices`.
     let header = ["training (dBm)", "held-out (dBm)", "subsets"].map(str::to_owned).to_vec();
     Ok(Placement { header, choices, notes, map })
+}
+
+/// Searches the best `count` receivers for these powers, dBm `[R][T]`. Returns the name and the result of each search: the
+/// exhaustive one, unless there are too many subsets, and the greedy one.
+fn search_subsets(powers: &[Vec<f64>], count: usize) -> Vec<(&'static str, ReceiverSubset)> {
+    let subsets = [("exhaustive", best_subset(powers, count)), ("greedy", Some(greedy_subset(powers, count)))];
+    subsets.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect()
 }
 
 /// Data with their powers, dBm `[R][T]`, at the training transmitters (`fitting`) and at the held-out ones.

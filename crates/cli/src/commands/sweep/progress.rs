@@ -1,4 +1,4 @@
-//! Runs of a sweep on a terminal: live lines per run and in total.
+//! Progress of a sweep on a terminal: a bar per run and over all runs.
 
 use crate::output::{Verbosity, print_note, progress_bars};
 use crate::progress::RunProgress;
@@ -15,7 +15,7 @@ pub(super) fn has_failed(end: &Result<RunOutcome>) -> bool {
 }
 
 /// Observer that shows the progress of a sweep.
-pub(super) struct SweepTable<'a> {
+pub(super) struct SweepProgress<'a> {
     plan: &'a SweepPlan,
     verbosity: Verbosity,
     /// Bar over all runs.
@@ -23,8 +23,8 @@ pub(super) struct SweepTable<'a> {
     begun: Instant,
 }
 
-impl<'a> SweepTable<'a> {
-    /// Creates the table with a bar over `runs` runs.
+impl<'a> SweepProgress<'a> {
+    /// Creates the observer with a bar over `runs` runs.
     pub(super) fn new(plan: &'a SweepPlan, runs: usize, verbosity: Verbosity) -> Self {
         let style = ProgressStyle::with_template("{bar:24.green/dim} {pos}/{len} runs  {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar())
@@ -42,7 +42,7 @@ impl<'a> SweepTable<'a> {
     }
 }
 
-impl SweepObserver for SweepTable<'_> {
+impl SweepObserver for SweepProgress<'_> {
     fn on_run_start(&self, run: usize) -> Box<dyn Observer> {
         Box::new(RunProgress::of_run(&self.plan.runs[run].folder, self.verbosity))
     }
