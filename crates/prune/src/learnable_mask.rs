@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 /// Gaussians that the paper keeps of [`PAPER_START`] points, by λ.
 const PAPER: [(f64, f64); 4] = [(0.01, 2_613.0), (0.02, 157.0), (0.03, 24.0), (0.04, 8.0)];
-/// Approximate number of points of the paper's cloud.
+/// Approximate number of points of the paper's cloud; `outlook` writes it.
 const PAPER_START: f64 = 190_000.0;
 
 /// Maximum number of counted steps until a mask closes.
@@ -129,10 +129,10 @@ impl Pruner for LearnableMask {
     }
 
     fn outlook(&self, initial: usize) -> Option<String> {
-        let distance = |(lambda, _): &(f64, f64)| (lambda - f64::from(self.lambda as f32)).abs();
-        let nearest = PAPER.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-        let (lambda, share) = (nearest.0, nearest.1 / PAPER_START);
-        let lambda_name = if distance(nearest) < 1e-6 { "this" } else { "the nearest published" };
+        let distance = |lambda: f64| (lambda - f64::from(self.lambda as f32)).abs();
+        let (lambda, kept) = PAPER.into_iter().min_by(|(a, _), (b, _)| distance(*a).total_cmp(&distance(*b)))?;
+        let share = kept / PAPER_START;
+        let lambda_name = if distance(lambda) < 1e-6 { "this" } else { "the nearest published" };
         let number = match share * initial as f64 {
             few if few < 1.0 => "less than one".to_owned(),
             some => format!("{some:.0}"),

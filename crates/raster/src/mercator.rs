@@ -83,9 +83,9 @@ impl Projector for Mercator {
     }
 
     fn check(&self) -> Result<(), String> {
-        let length = |x: Real| x.is_finite() && x >= 0.0;
         ewa::check_blur(self.blur)?;
-        if !length(self.near_m) || !(0.0..=90.0).contains(&self.margin_deg) {
+        let is_length = self.near_m.is_finite() && self.near_m >= 0.0;
+        if !is_length || !(0.0..=90.0).contains(&self.margin_deg) {
             return Err("`near_m` must not be negative and `margin_deg` must lie between 0 and 90".into());
         }
         Ok(())

@@ -236,8 +236,8 @@ fn list_released_strips(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mu
     }
 }
 
-/// Returns the tile columns that intersect the pixel columns from `low` to `high`, wrapped at the seam if the plane
-/// wraps.
+/// Returns the tile columns that intersect the pixel columns from `low` to `high`. The second range is empty unless they
+/// cross the seam of a plane that wraps.
 #[inline(always)]
 fn tile_columns(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
     let width = plane.width as Real;

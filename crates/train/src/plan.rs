@@ -27,7 +27,11 @@ impl TrainingPlan {
     pub fn parts(&self, initial: Option<usize>) -> Parts<'_> {
         let Training { rays, stride, prune_until, densify_until, target_count: target, .. } = *self.training;
         // Pixels per spectrum; 0 for pairs of spectrum and pixel.
-        let pixels = (rays != Rays::All).then_some(if let Rays::Same(count) = rays { count } else { 0 });
+        let pixels = match rays {
+            Rays::All => None,
+            Rays::Same(count) => Some(count),
+            Rays::Each(_) => Some(0),
+        };
         let (densified, prunes) = (self.max_densified(), prune_until > densify_until);
         let training = TrainingNumbers { stride, pixels, initial, densified, target, prunes };
         let (method, training) = (Some(self.method.get()), Some(training));

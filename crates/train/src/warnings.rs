@@ -196,11 +196,10 @@ fn format_counts(rules: &[(String, usize)]) -> String {
     rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ")
 }
 
-/// Returns the text `, removed by` with these counts; empty without rules.
+/// Returns the text `, removed by` with these counts; empty if no rule removed any.
 fn format_removals(rules: &[(String, usize)]) -> String {
-    Some(format_counts(rules))
-        .filter(|text| !text.is_empty())
-        .map_or_else(String::new, |text| format!(", removed by {text}"))
+    let counts = format_counts(rules);
+    if counts.is_empty() { counts } else { format!(", removed by {counts}") }
 }
 
 /// Returns the first step at which densification checks sizes; `None` if it never does.
