@@ -1,16 +1,17 @@
 //! `Model`: a trained model or an ensemble.
 
+mod links;
 pub(crate) mod made;
 mod observed;
 
-use crate::arrays::{self, Gain, array, axis_count, numbers, plane_angles, position, positions, vector};
+use crate::arrays::{Gain, array, plane_angles, position, vector};
 use crate::border::{reject, without_gil};
 use numpy::PyArrayDyn;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::{check_file_path, write_atomically};
-use pwrfgs_core::{Activated, End, Error, Pose, Query, Real, ShippedModel};
+use pwrfgs_core::{Activated, End, Error, Real, ShippedModel};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
 use self_cell::self_cell;
@@ -39,28 +40,6 @@ pub(crate) struct Model {
     compressed: Option<Vec<u8>>,
 }
 
-/// Links of a call.
-struct Links {
-    /// Poses of the moving end; zero for links with features.
-    poses: Vec<Pose>,
-    /// Link features, `[poses, width]`; empty for models of positions.
-    features: Vec<Real>,
-    /// Indices of the receivers, all for each pose.
-    receivers: Vec<usize>,
-    /// Leading axes, before those of an observation.
-    lead: Vec<usize>,
-}
-
-impl Links {
-    /// Returns the query of link `k`, in the order of the observations: receivers vary fastest.
-    fn query(&self, k: usize) -> Query<'_> {
-        let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
-        let width = self.features.len() / self.poses.len().max(1);
-        let features = (width > 0).then(|| &self.features[i * width..][..width]);
-        Query { features, ..Query::at(self.poses[i], receiver) }
-    }
-}
-
 impl Model {
     /// Wraps a model or an ensemble.
     pub(crate) fn new(ensemble: Ensemble) -> Self {
@@ -82,60 +61,6 @@ impl Model {
     /// Returns method and setup of the first member.
     fn stages(&self) -> &Stages {
         &self.ensemble.members()[0].stages
-    }
-
-    /// Reads the links of a call from its arguments: those of one receiver, or of all. Raises an exception unless exactly the
-    /// argument that the model needs is given.
-    fn read_links(
-        &self,
-        py: Python<'_>,
-        receiver: Option<&Bound<'_, PyAny>>,
-        [tx, rx_pose, features]: [Option<&Bound<'_, PyAny>>; 3],
-    ) -> PyResult<Links> {
-        let stages = self.stages();
-        let (inputs, moving) = (stages.method.traits().inputs, stages.setup.moving);
-        let reads_positions = inputs == 3; // x, y, z; otherwise the width of link features
-        let (poses, features, is_single) = match (tx, rx_pose, features) {
-            (Some(tx), None, None) if reads_positions && moving == End::Transmitter => {
-                let is_single = axis_count(tx)? == 1;
-                let positions = if is_single { vec![position("tx", tx)?] } else { positions("tx", tx)? };
-                (positions.into_iter().map(Pose::from).collect(), Vec::new(), is_single)
-            }
-            (None, Some(rx_pose), None) if reads_positions && moving == End::Receiver => {
-                let (poses, is_single) = arrays::poses("rx_pose", rx_pose)?;
-                (poses, Vec::new(), is_single)
-            }
-            (None, None, Some(features)) if !reads_positions => {
-                let is_single = axis_count(features)? == 1;
-                let shape: &[Option<usize>] = if is_single { &[Some(inputs)] } else { &[None, Some(inputs)] };
-                let features = numbers::<Real>("features", features, shape)?;
-                (vec![Pose::IDENTITY; features.len() / inputs], features, is_single)
-            }
-            _ if !reads_positions => {
-                return reject(py, &format!("this model uses link features; pass features=[B, {inputs}]"));
-            }
-            _ if moving == End::Receiver => {
-                return reject(py, "the receiver of this model moves; pass rx_pose=[B, 7]: x, y, z, qx, qy, qz, qw");
-            }
-            _ => {
-                let problem = if tx.is_none() { "tx is missing" } else { "this model takes only tx" };
-                let advice = "pass positions [B, 3] of the transmitter, which moves, in metres";
-                return reject(py, &format!("{problem}; {advice}"));
-            }
-        };
-        let receivers = self.receiver_indices(receiver)?;
-        let (positions, several) = ((!is_single).then_some(poses.len()), receivers.len() > 1);
-        let lead = positions.into_iter().chain(several.then_some(receivers.len())).collect();
-        Ok(Links { poses, features, receivers, lead })
-    }
-
-    /// Returns the indices of the receivers of a call: that of `receiver`, or all without one.
-    fn receiver_indices(&self, receiver: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<usize>> {
-        let receivers = &self.stages().setup.receivers;
-        match receiver {
-            Some(receiver) => Ok(vec![made::find_receiver(receiver, receivers)?]),
-            None => Ok((0..receivers.len()).collect()),
-        }
     }
 }
 

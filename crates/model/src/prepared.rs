@@ -38,7 +38,8 @@ struct Member<'a> {
 }
 
 /// Number of transmitters per call of the network in [`Prepared::predict_many`], and per projection if geometry is
-/// shared: large enough for cheap blending, small enough that the images of a group fit the cache.
+/// shared: large enough for cheap blending, small enough that the images of a group fit the cache. The Python package has
+/// the same number.
 const GROUP: usize = 16;
 
 /// Number of Gaussians from which a prediction enters the thread pool once instead of stage by stage. With fewer, most

@@ -1,8 +1,8 @@
-//! Models from arrays, and receivers by name.
+//! Models from arrays.
 
 use super::Model;
 use crate::arrays::{numbers, positions, read_elevation};
-use crate::border::{input_error, parse_plugin, reject, without_gil};
+use crate::border::{parse_plugin, reject, without_gil};
 use crate::strategies::{check_keys, read_cloud};
 use pwrfgs::model::{Ensemble, MAX_PIXELS, Stages, TrainingPositions};
 use pwrfgs_core::{
@@ -10,22 +10,6 @@ use pwrfgs_core::{
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-
-/// Returns the index of a receiver, given its name or index.
-pub(super) fn find_receiver(receiver: &Bound<'_, PyAny>, receivers: &[Receiver]) -> PyResult<usize> {
-    let py = receiver.py();
-    if let Ok(name) = receiver.extract::<String>() {
-        return receivers.iter().position(|receiver| receiver.name == name).ok_or_else(|| {
-            let hint = pwrfgs_core::did_you_mean(&name, receivers.iter().map(|receiver| receiver.name.as_str()));
-            input_error(py, &format!("unknown receiver `{name}`{hint}"))
-        });
-    }
-    let index: usize = receiver.extract()?;
-    if index < receivers.len() {
-        return Ok(index);
-    }
-    reject(py, &format!("invalid receiver index {index} (expected 0 to below {})", receivers.len()))
-}
 
 /// Returns weights in the layout of the method: initial values, replaced by those of `given` by name. Raises an
 /// exception for a name without a tensor, or another shape.

@@ -1,16 +1,16 @@
 //! Predicted observations as arrays, in batches, and with their derivative by the moving end.
 
-use super::{Links, Model};
+use super::Model;
+use super::links::Links;
 use crate::arrays::{ObservationShape, array, check_memory};
 use crate::border::{CHECK_INTERVAL, log_message, reject, to_exception, to_plugin_error, without_gil};
 use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use std::ops::Range;
 use std::time::Instant;
 
-/// Number of links per library call: one group of the library, so that results stay in cache.
+/// Number of links per library call: one group of `Prepared`, so that results stay in cache.
 const CHUNK: usize = 16;
 
 impl Model {
@@ -158,17 +158,6 @@ impl Model {
         let has_batch = links.lead.len() > usize::from(receivers > 1);
         let shape = if has_batch { vec![links.poses.len(), width] } else { vec![width] };
         Ok((observed, array(py, sums, &shape)?).into_pyobject(py)?.into_any())
-    }
-}
-
-impl Links {
-    /// Returns the links of the rows `rows` of several poses or features.
-    fn rows(&self, rows: Range<usize>) -> Self {
-        let width = self.features.len() / self.poses.len().max(1);
-        let mut lead = self.lead.clone();
-        lead[0] = rows.len();
-        let features = self.features[rows.start * width..rows.end * width].to_vec();
-        Self { poses: self.poses[rows].to_vec(), features, receivers: self.receivers.clone(), lead }
     }
 }
 

@@ -27,9 +27,9 @@ pub(super) fn describe_comparison(
     Some(json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "fitted": is_fitted }))
 }
 
-/// Returns the link whose measurement the prediction is compared with, and its distance from the query in metres: the
-/// requested one (at distance 0), even if another link has the same position, else the nearest at the receiver; `None`
-/// without either, and for data without positions.
+/// Returns the link whose measurement the prediction is compared with, and its distance from the query in metres. It is
+/// the requested link (at distance 0) unless `tx` is elsewhere or the receiver is another; otherwise the nearest link at
+/// the receiver, if the data have positions. `None` without either.
 fn compared_link(loaded: &LoadedData, parameters: &QueryParams, query: Query<'_>) -> Option<(usize, f64)> {
     let is_requested = |i: &usize| {
         let sample = loaded.data.sample(*i);
