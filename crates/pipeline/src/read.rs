@@ -148,10 +148,10 @@ impl Pipeline {
         self.baselines.iter().map(|baseline| baseline.demand()).chain(metrics).collect()
     }
 
-    /// Checks that all plugins fit together, as far as this is known before loading.
+    /// Checks that all plugins fit together, as far as this is known before loading, and that the other settings are valid.
     ///
     /// # Errors
-    /// Two plugins or settings do not fit together: the field and its problem.
+    /// The field of the first problem, and the problem.
     pub(crate) fn check(&self) -> Result<(), (String, String)> {
         let (task, plan) = (self.data.task(), self.unscaled_plan());
         let unused = task.and_then(|task| Some(Misfit::Unused(unused_field(self, task)?, task)));

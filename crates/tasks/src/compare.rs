@@ -94,7 +94,7 @@ impl ComparedRuns {
     /// predictions of other programs. A method that was not named and cannot predict the data is left out, with a message.
     ///
     /// # Errors
-    /// An unknown method, invalid changes or predictions, or data that no method can predict.
+    /// An unknown method, invalid changes, predictions or number of seeds, or data that no method can predict.
     pub fn plan(&self, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<Comparison> {
         let settings = &self.settings;
         if !COUNTS.contains(&settings.seeds) {

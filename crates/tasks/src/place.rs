@@ -43,7 +43,7 @@ pub struct PlaceSettings {
     #[arg(long)]
     #[serde(default)]
     pub no_grid: bool,
-    /// Random seed of samples, random choices and random splits
+    /// Random seed of the search in scenes, of random choices and of random splits
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     #[serde(default)]
     pub seed: u64,

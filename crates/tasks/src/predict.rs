@@ -54,8 +54,8 @@ pub struct PredictionCount {
     pub latency: (usize, f64),
 }
 
-/// Predicts at the `poses` of the end that moves, and writes the predictions into the folder `out`. What is complete stays in
-/// `out` with the suffix `.partial`, from which the same call continues.
+/// Predicts at the `poses` of the end that moves, and writes the predictions into the folder `out`. If it stops early, the
+/// complete rows stay in a folder with the suffix `.partial`, from which the same call continues.
 ///
 /// # Errors
 /// Invalid settings, a model whose input is not a position, a prediction that is not finite, or a file that cannot be written;

@@ -43,7 +43,7 @@ pub(crate) struct Export {
     /// Write the model with a 16-bit network, about half the size
     #[arg(long, value_name = "FILE")]
     pub(crate) half: Option<PathBuf>,
-    /// Transmitter position in metres, world frame, for which to export
+    /// Transmitter position of --ply and --npz in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
 }

@@ -63,9 +63,9 @@ impl Sizing {
         } else {
             Self::large(survey, effort)
         };
-        let held_out = sizing.models > 1 || survey.has_validation();
+        let has_held_out = sizing.models > 1 || survey.has_validation();
         sizing.set.push(format!("members={}", sizing.models));
-        if has_residuals && held_out {
+        if has_residuals && has_held_out {
             let has_few_pixels = survey.known_links() * data.width * data.height <= STORED_PIXELS;
             // With stride 1 and a share of 0, the residual process equals the baseline Kriging bit for bit.
             let is_exact = data.task().has_pixels && effort == Effort::Best && has_few_pixels;
@@ -78,7 +78,7 @@ impl Sizing {
     fn large(survey: &DataSurvey, effort: Effort) -> Self {
         let mut set: Vec<String> = (effort == Effort::Fast).then(|| "training.scale=0.25".into()).into_iter().collect();
         if survey.data.task().is_scalar {
-            // As many as the 4,000 of the template, which has 3,840 positions.
+            // About one step per position, as in the template: 4,000 steps at 3,840 positions.
             set.push(format!("training.steps={}", survey.known_positions().clamp(1_200, 4_000)));
         }
         let models = effort.pick(1, 1, 4).min(survey.known_parts().max(1));

@@ -173,7 +173,7 @@ impl DataSurvey {
         })
     }
 
-    /// Describes what the suggested split of data without index files holds out.
+    /// Describes the part that the suggested split of data without index files holds out.
     fn held_out_part(&self) -> &'static str {
         match self.split.split('(').next() {
             Some("Voxel") => "whole regions, so that test transmitters are not next to training transmitters",

@@ -116,6 +116,7 @@ impl UnlocatedObservations<'_> {
             return Err(self.error(format!("observation {row} has a value that is not finite; leave it out")));
         }
         let has_pixels = self.features.task().has_pixels;
+        // In words, the limits of `is_far`.
         let range = if has_pixels { "linear, from 0 to 1" } else { "up to 1e9" };
         let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
         if let Some(at) = values.iter().position(is_far) {

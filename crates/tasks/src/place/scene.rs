@@ -14,7 +14,7 @@ const MOST: usize = 3;
 /// Chooses receivers by ascent over the floor of a scene, and from a grid unless that is omitted.
 ///
 /// # Errors
-/// Invalid settings, a scene without free positions, or [`Error::Stopped`].
+/// Invalid settings, a scene that cannot be built or has no free positions, or [`Error::Stopped`].
 pub fn place_in_scene(scene: &SceneFile, settings: &PlaceSettings, session: &mut Session<'_>) -> Result<Placement> {
     check_count(settings.count)?;
     let count = settings.count;

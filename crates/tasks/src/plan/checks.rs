@@ -12,7 +12,7 @@ const FAR: f64 = 10.0;
 /// Largest number of candidates whose distance is computed, evenly chosen.
 const SAMPLED: usize = 100;
 
-/// Rejects a `count` of positions that is 0, above [`MOST`] or above `total`, the number of candidates, which is 0 for a model.
+/// Rejects a `count` of positions that is 0, above [`MOST`] or above `total`, the number of candidates; a model alone has none.
 pub(super) fn check_count(count: usize, total: usize) -> Result<()> {
     if total == 0 {
         let problem =
