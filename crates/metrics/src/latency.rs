@@ -100,7 +100,7 @@ impl Metric for Latency {
 }
 
 impl Latency {
-    /// Times up to [`SERIES`] series of `repeats` predictions, and returns the first steady one, or that of the smallest median.
+    /// Times up to [`SERIES`] series of `repeats` predictions, and returns the first steady one, or the fastest.
     /// No prediction except the first starts more than `patience` seconds after the first warm-up, and no further series
     /// more than [`PATIENCE`] after it.
     fn time_predictions(&self, predict: &dyn Fn() -> StageTimes, patience: f64) -> Vec<StageTimes> {

@@ -27,7 +27,7 @@ pub(crate) struct Patch<'a> {
 // [Real]` that it represents.
 unsafe impl Send for Patch<'_> {}
 
-/// Divides `images` `[channels, H, W]` into tiles, row by row.
+/// Divides `images` `[channels, H, W]` into tiles, row by row as in [`TileLists`](crate::tiles::TileLists).
 pub(crate) fn patches<'a>(images: &'a mut [Real], plane: &ImagePlane) -> Vec<Patch<'a>> {
     let (width, height) = (plane.width, plane.height);
     let size = width * height;

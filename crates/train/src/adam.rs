@@ -38,7 +38,7 @@ impl Rates<'_> {
         Some(self.update_constants(rate, optimizer.eps))
     }
 
-    /// Returns the update of a group of network weights, with warm-up; with decay if the group [decays](WeightGroup::decays).
+    /// Returns the update of a group of network weights, with warm-up and, if the group decays, with decay.
     pub(crate) fn weight_update(self, group: &WeightGroup) -> AdamUpdate {
         let optimizer = &self.training.optimizer;
         let warm = (self.step as f64 / optimizer.network_warmup.max(1) as f64).min(1.0) as Real;

@@ -15,7 +15,7 @@ pub(crate) fn is_due(settings: &Densify, step: u64) -> bool {
     settings.every > 0 && step > settings.from && step.is_multiple_of(settings.every)
 }
 
-/// Returns whether opacities are reset after `step`.
+/// Returns whether opacities are reset after `step`, unless it ends densification.
 pub(crate) fn is_reset_due(settings: &Densify, step: u64) -> bool {
     settings.reset_every > 0 && step.is_multiple_of(settings.reset_every)
 }
@@ -66,8 +66,8 @@ pub(crate) fn densify(
     (before, remove_by_rules(settings, extent, step, state))
 }
 
-/// Returns whether each of the `n` Gaussians is densified: its mean gradient norm reaches the threshold. If this would exceed
-/// `max_gaussians`, only those with the largest norms are: each adds one Gaussian.
+/// Returns whether each of the `n` Gaussians is densified: its mean gradient norm reaches the threshold. `max_gaussians`
+/// limits this to the largest norms, because each densified Gaussian adds one.
 fn select_strong(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
     let mean = |i: usize| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 };
     let mut strong: Vec<usize> = (0..n).filter(|&i| mean(i) >= settings.gradient_threshold).collect();

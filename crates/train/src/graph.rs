@@ -242,7 +242,7 @@ impl DrawableGaussians {
         scattered
     }
 
-    /// Returns the derivatives of the whole cloud, in the order of [`Graph::inputs`]: of the columns `names` and of the gates.
+    /// Returns the derivatives of the whole cloud by the columns `names` and the gates, in the order of [`Graph::inputs`].
     /// Writes statistics.
     fn scatter_all(&self, names: &[&str], sums: &MethodVjp, stats: &mut CloudStats) -> Vec<Vec<Real>> {
         for ((_, column), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {

@@ -127,7 +127,7 @@ impl Trainer<'_> {
     }
 
     /// Returns the current product `[N]` of the pruners' [whole gates](pwrfgs_core::Gate::Whole), from 0 (closed) to 1;
-    /// `None` without such a gate.
+    /// `None` without such a gate, and in fine-tuning.
     pub fn gates(&self) -> Option<Vec<Real>> {
         self.gates_of(&self.cloud, &self.context(self.done.max(1)))
     }
@@ -350,8 +350,8 @@ impl Trainer<'_> {
         Ok(unpruned)
     }
 
-    /// Densifies and resets opacities after `step`, if due; no reset ends the phase. Returns an error if too few Gaussians
-    /// are left.
+    /// Densifies and resets opacities after `step`, if due; the last step of the phase resets none. Returns an error if too
+    /// few Gaussians are left.
     fn densify(&mut self, step: u64) -> Result<()> {
         let training = self.plan.training.clone();
         let settings = &training.densify;
@@ -368,8 +368,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Begins fine-tuning with M = 1 everywhere: removes closed Gaussians, unless an exact target has set N, and then the
-    /// columns of pruners. Returns the Gaussians before the removal, `None` if none is removed, or an error if too few are
+    /// Begins fine-tuning with M = 1 everywhere. Removes closed Gaussians, if no exact target has set N, and the columns of
+    /// pruners. Returns Gaussians and IDs before the removal, `None` if no Gaussian is removed, or an error if too few are
     /// left.
     fn remove_masks(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let mut unpruned = None;
