@@ -86,13 +86,13 @@ struct Lens {
     /// Column and row of the principal point; pixel centres have whole coordinates.
     centre: [Real; 2],
     /// Smallest and largest slopes x/z and y/z of the Jacobian.
-    slopes: [[Real; 2]; 2],
+    limits: [[Real; 2]; 2],
     blur: Real,
     near: Real,
 }
 
 impl Lens {
-    /// Computes the constants for an image plane; focal length 1 and centre 0 for a plane without camera.
+    /// Computes the constants for an image plane; without camera, those of focal lengths of 1 px and the corner as centre.
     fn new(plugin: &Pinhole, plane: &ImagePlane) -> Self {
         let Camera { focal, centre } = plane.camera.unwrap_or(Camera { focal: [1.0; 2], centre: [0.0; 2] });
         let (size, margin) = ([plane.width, plane.height], plugin.margin as f64);
@@ -100,7 +100,7 @@ impl Lens {
         Self {
             focal: focal.map(|f| f as Real),
             centre: centre.map(|c| (c - 0.5) as Real),
-            slopes: [-margin, 1.0 + margin].map(|share| [slope(0, share), slope(1, share)]),
+            limits: [-margin, 1.0 + margin].map(|share| [slope(0, share), slope(1, share)]),
             blur: plane.sampling.filter.unwrap_or(plugin.blur),
             near: plugin.near_m,
         }
@@ -109,7 +109,7 @@ impl Lens {
     /// Returns the slopes x/z and y/z of `v`, and the same limited at the margin.
     #[inline]
     fn slopes(&self, v: Vec3) -> [[Real; 2]; 2] {
-        let ([low, high], slope) = (self.slopes, [v.x / v.z, v.y / v.z]);
+        let ([low, high], slope) = (self.limits, [v.x / v.z, v.y / v.z]);
         [slope, [0, 1].map(|k| slope[k].max(low[k]).min(high[k]))]
     }
 
@@ -134,13 +134,15 @@ impl CameraModel for Lens {
 
     #[inline]
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
-        let [column, row] = self.jacobian_rows(v.z, self.slopes(v)[0]);
+        let [slope, _] = self.slopes(v);
+        let [column, row] = self.jacobian_rows(v.z, slope);
         column * d[0] + row * d[1]
     }
 
     #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        self.jacobian_rows(v.z, self.slopes(v)[1])
+        let [_, limited] = self.slopes(v);
+        self.jacobian_rows(v.z, limited)
     }
 
     #[inline]
