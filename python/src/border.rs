@@ -113,11 +113,11 @@ pub(crate) fn run_with_events<T: Send, E: Send>(
         let worker = scope.spawn(|| catch_unwind(AssertUnwindSafe(|| work(sender, &stop))));
         let mut raised: Option<PyErr> = None;
         while let Some(event) = next_event(py, &events) {
-            let shown = match event {
+            let handled = match event {
                 Some(event) if raised.is_none() => on_event(event),
                 _ => Ok(()),
             };
-            if let Err(error) = shown.and_then(|()| py.check_signals()) {
+            if let Err(error) = handled.and_then(|()| py.check_signals()) {
                 stop.store(true, Ordering::Relaxed);
                 raised.get_or_insert(error);
             }
@@ -317,7 +317,8 @@ pub(crate) fn without_position(error: Error) -> Error {
     }
 }
 
-/// Logs a message under the name "pwrfgs"; a failure of the logger is ignored.
+/// Logs a message under the name "pwrfgs"; `level` is the name of a method, such as `info`. A failure of the logger is
+/// ignored.
 pub(crate) fn log_message(level: &str, text: &str) {
     Python::attach(|py| {
         let logger = py.import("pwrfgs._log").and_then(|module| module.getattr("log"));

@@ -212,7 +212,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// Write the new folder `path`, or find the same data there, for a run; returns its source as RON.
+    /// Write the data of a run to the new folder `path`, unless an earlier call has; returns their source as RON.
     #[pyo3(name = "_store")]
     fn store(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
         without_gil(py, || self.write_for_run(&path))

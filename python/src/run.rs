@@ -252,7 +252,7 @@ pub(crate) fn simulate(
 ) -> PyResult<()> {
     let (observe, layout) = read_layout(py, layout, noise_db, snr_db)?;
     let recipe = SimulationRecipe::read(&scene, samples, seed, points).map_err(|error| to_exception(py, error))?;
-    let scene = stated_positions(recipe.scene.clone(), tx, rx_pose)?;
+    let scene = with_stated_positions(recipe.scene.clone(), tx, rx_pose)?;
     let recipe = recipe.with_scene(scene).and_then(|recipe| recipe.observing(observe));
     let recipe = recipe.map_err(|error| to_exception(py, error))?;
     let work = |events: SyncSender<(usize, usize)>, stop: &_| {
@@ -264,7 +264,7 @@ pub(crate) fn simulate(
 
 /// Returns the scene with the stated transmitter positions `tx`, or receiver poses `rx_pose`, if any: arrays or CSV
 /// files. With `rx_pose`, `tx` is the position `[3]` of the fixed transmitter.
-fn stated_positions(
+fn with_stated_positions(
     scene: SceneFile,
     tx: Option<&Bound<'_, PyAny>>,
     rx_pose: Option<&Bound<'_, PyAny>>,

@@ -61,7 +61,7 @@ pub(crate) fn measure<'py>(
     if let Some(bad) = pixels.find(|v| task.has_pixels && !AMPLITUDES.contains(*v)) {
         return reject(py, &format!("truth holds {bad}, expected 0 to 1 (divide bytes by 255)"));
     }
-    let scene = scene_of(vec![]);
+    let scene = create_scene(vec![]);
     let evaluate = |images: [&[Image]; 2]| metric.evaluate(&Evaluation { task, ..evaluation(images, &plane, &scene) });
     let measurements = run_stoppable(py, |stop| {
         if metric.scope() != Scope::Sample {
@@ -77,7 +77,7 @@ pub(crate) fn measure<'py>(
     measurement_list(py, measurements)
 }
 
-/// Returns the evaluation of images without links and model, on a plane.
+/// Creates the evaluation of images on a plane, without links and model, and of the default task.
 fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane, scene: &'a Scene) -> Evaluation<'a> {
     let task = Task::default();
     Evaluation {
@@ -93,8 +93,8 @@ fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane
     }
 }
 
-/// Returns a scene with surface points and one receiver at the origin.
-fn scene_of(points: Vec<[Real; 3]>) -> Scene {
+/// Creates a scene with surface points and one receiver at the origin.
+fn create_scene(points: Vec<[Real; 3]>) -> Scene {
     Scene {
         geodetic: None,
         floors: BTreeMap::new(),
@@ -132,7 +132,7 @@ pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'
         return reject(py, "one of the two point sets is empty");
     }
     let metric = parse_plugin::<dyn Metric>(py, "Chamfer()")?;
-    let scene = scene_of(points);
+    let scene = create_scene(points);
     let plane = ImagePlane::plain(1, 1);
     let measurements = without_gil(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, file_bytes: 0 });

@@ -84,7 +84,8 @@ impl<'a> Prepared<'a> {
 
     /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the
     /// only receiver. Also returns the total time of each stage. The prediction of one model is not clamped; that of
-    /// several is the mean, with each spectrum clamped to [0, 1]. Residual processes add the expected residual.
+    /// several is the mean, with each spectrum clamped to [0, 1]. Residual processes clamp spectra too, and then add
+    /// the expected residual.
     pub fn predict_timed<'q>(&self, query: impl Into<Query<'q>>) -> (Image, StageTimes) {
         let (begun, query) = (Instant::now(), query.into());
         let (predictions, times) = self.member_predictions(query);

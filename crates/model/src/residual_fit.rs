@@ -273,7 +273,7 @@ impl<'a> Samples<'a> {
             ResidualValues::Exact(residuals)
         } else {
             let (short, units) = quantise(&residuals, self.link_values);
-            ResidualValues::Short(short, units)
+            ResidualValues::Rounded(short, units)
         };
         let places = links_of_receiver.iter().map(|&k| self.places[k]).collect();
         ResidualProcess::new(fit, places, values)

@@ -73,8 +73,8 @@ pub struct ResidualProcess {
 pub(crate) enum ResidualValues {
     /// Exact numbers.
     Exact(Vec<Real>),
-    /// 8-bit numbers from -127 to 127, and the unit of each link.
-    Short(Vec<i8>, Vec<Real>),
+    /// Numbers rounded to 8 bits, from -127 to 127, and the unit of each link.
+    Rounded(Vec<i8>, Vec<Real>),
 }
 
 impl ResidualValues {
@@ -82,7 +82,7 @@ impl ResidualValues {
     pub(crate) fn extend(&mut self, residuals: &[Real], link_values: usize) {
         match self {
             Self::Exact(values) => values.extend_from_slice(residuals),
-            Self::Short(values, units) => {
+            Self::Rounded(values, units) => {
                 let (new_values, new_units) = quantise(residuals, link_values);
                 values.extend(new_values);
                 units.extend(new_units);
@@ -94,7 +94,7 @@ impl ResidualValues {
     pub(crate) fn empty_like(&self) -> Self {
         match self {
             Self::Exact(_) => Self::Exact(Vec::new()),
-            Self::Short(..) => Self::Short(Vec::new(), Vec::new()),
+            Self::Rounded(..) => Self::Rounded(Vec::new(), Vec::new()),
         }
     }
 
@@ -103,7 +103,7 @@ impl ResidualValues {
         let numbers = links.start * link_values..links.end * link_values;
         match self {
             Self::Exact(values) => Self::Exact(values[numbers].to_vec()),
-            Self::Short(values, units) => Self::Short(values[numbers].to_vec(), units[links].to_vec()),
+            Self::Rounded(values, units) => Self::Rounded(values[numbers].to_vec(), units[links].to_vec()),
         }
     }
 
@@ -114,7 +114,7 @@ impl ResidualValues {
             Self::Exact(values) => {
                 sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * *v as f64);
             }
-            Self::Short(values, units) => {
+            Self::Rounded(values, units) => {
                 let weight = weight * units[i] as f64;
                 sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * f64::from(*v));
             }
@@ -126,7 +126,7 @@ impl ResidualValues {
         let (n, wide) = (d.len(), |v: Real, d: &Real| v as f64 * *d as f64);
         match self {
             Self::Exact(values) => values[i * n..][..n].iter().zip(d).map(|(v, d)| wide(*v, d)).sum(),
-            Self::Short(values, units) => {
+            Self::Rounded(values, units) => {
                 let sum: f64 = values[i * n..][..n].iter().zip(d).map(|(v, d)| wide(Real::from(*v), d)).sum();
                 units[i] as f64 * sum
             }

@@ -77,7 +77,7 @@ impl Tensors {
     }
 
     /// Adds a tensor of 8-bit integers; `values` must fill `shape`, row by row.
-    pub fn put_short(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<i8>) {
+    pub fn put_i8(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<i8>) {
         self.insert(name, shape, Values::Bytes(values));
     }
 
@@ -99,14 +99,14 @@ impl Tensors {
         let values = self.take(name, &shape).expect("finite values");
         let (integers, scales) = quantise(&values, shape[1]);
         self.put(format!("{name}{SCALES}"), vec![shape[0]], scales);
-        self.put_short(name, shape, integers);
+        self.put_i8(name, shape, integers);
     }
 
     /// Takes out a tensor of 8-bit integers of this shape.
     ///
     /// # Errors
     /// The tensor is missing or has another shape or type; the message names it.
-    pub fn take_short(&mut self, name: &str, shape: &[usize]) -> Result<Vec<i8>, String> {
+    pub fn take_i8(&mut self, name: &str, shape: &[usize]) -> Result<Vec<i8>, String> {
         match self.take_values(name, shape)? {
             Values::Bytes(values) => Ok(values),
             _ => Err(format!("tensor `{name}` is not of type I8")),
@@ -240,7 +240,7 @@ impl Tensors {
         let short =
             self.tensors.iter().filter(|(name, (_, values))| matches!(values, Values::Bytes(_)) && is_scaled(name));
         for (name, shape) in short.map(|(name, (shape, _))| (name.clone(), shape.clone())).collect::<Vec<_>>() {
-            let integers = self.take_short(&name, &shape)?;
+            let integers = self.take_i8(&name, &shape)?;
             let rows = shape.first().copied().unwrap_or(1);
             let scales = self.take(&format!("{name}{SCALES}"), &[rows])?;
             let columns = (integers.len() / rows.max(1)).max(1);

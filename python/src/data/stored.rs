@@ -30,7 +30,7 @@ impl Dataset {
 }
 
 /// Returns a digest of all columns of data, 16 hexadecimal digits.
-pub(super) fn digest_of(data: &Data) -> pwrfgs_core::Result<String> {
+pub(super) fn digest_of(data: &Data) -> Result<String> {
     let Data {
         title, scene, elevation, locations, links, observations, features, placed, official, simulation, ..
     } = data;

@@ -147,9 +147,9 @@ impl HeldOutPart<'_> {
 
     /// Returns the errors of all candidates at known link `k`, given a process per noise of [`NOISES`].
     fn case_errors(&self, k: usize, processes: &[LocalKriging; NOISES.len()]) -> Vec<CaseError> {
-        let combinations = processes.each_ref().map(|process| self.combine(k, process));
+        let by_noise = processes.each_ref().map(|process| self.kriging_errors(k, process));
         let error = |(c, choice): (usize, &Choice)| {
-            let (pairs, variance) = &combinations[noise_index(c)];
+            let (pairs, variance) = &by_noise[noise_index(c)];
             let errors = || pairs.iter().map(|[y, f]| y - choice.share * f);
             let scale = variance * self.fit.variance;
             CaseError { absolute: mean(errors().map(f64::abs)), relative_square: mean(errors().map(|e| e * e / scale)) }
@@ -160,7 +160,7 @@ impl HeldOutPart<'_> {
     /// Returns the errors at known link `k` of Kriging the observations and of Kriging the predictions, both less their path
     /// loss, from the links `trained`, and the variance relative to that of the process. With a share b, the error is the first
     /// minus b times the second.
-    fn combine(&self, k: usize, process: &LocalKriging) -> (Vec<[f64; 2]>, f64) {
+    fn kriging_errors(&self, k: usize, process: &LocalKriging) -> (Vec<[f64; 2]>, f64) {
         let Self { samples, trained, fit, .. } = self;
         let predicted = &samples.predicted[self.part];
         let (near, solution) = process.solve(place(samples.places[k]), self.neighbours);

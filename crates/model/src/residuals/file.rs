@@ -83,7 +83,7 @@ impl ResidualsNote {
         let values = if stride == 1 {
             ResidualValues::Exact(file.take(VALUES, &[links, link_values])?)
         } else {
-            ResidualValues::Short(file.take_short(VALUES, &[links, link_values])?, file.take(UNITS, &[links])?)
+            ResidualValues::Rounded(file.take_i8(VALUES, &[links, link_values])?, file.take(UNITS, &[links])?)
         };
         let mut first = 0;
         let mut process = |(note, receiver): (Option<ProcessNote>, &Receiver)| -> Result<_, String> {
@@ -152,7 +152,7 @@ impl Residuals {
             places.extend_from_slice(process.places.as_flattened());
             match &process.values {
                 ResidualValues::Exact(values) => exact.extend_from_slice(values),
-                ResidualValues::Short(values, link_units) => {
+                ResidualValues::Rounded(values, link_units) => {
                     short.extend_from_slice(values);
                     units.extend_from_slice(link_units);
                 }
@@ -163,7 +163,7 @@ impl Residuals {
         if self.grid.stride == 1 {
             file.put(VALUES, vec![links, link_values], exact);
         } else {
-            file.put_short(VALUES, vec![links, link_values], short);
+            file.put_i8(VALUES, vec![links, link_values], short);
             file.put(UNITS, vec![links], units);
         }
     }

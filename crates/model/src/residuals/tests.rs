@@ -374,6 +374,6 @@ fn invalid_residuals_of_a_file_are_refused() {
     edited("\"receivers\":[{\"links\"", "\"receivers\":[null,{\"links\"", "residuals of 2 receivers");
     let message = refused(&|tensors| tensors.put("residuals.places", vec![200, 3], vec![Real::INFINITY; 600]));
     assert!(message.contains("residuals.places"), "{message}");
-    let message = refused(&|tensors| tensors.put_short("residuals.values", vec![1], vec![0]));
+    let message = refused(&|tensors| tensors.put_i8("residuals.values", vec![1], vec![0]));
     assert!(message.contains("residuals.values"), "{message}");
 }
