@@ -71,7 +71,7 @@ pub(crate) fn list_chapters() -> Vec<DocChapter> {
     chapters
 }
 
-/// Creates a pipeline with only the required fields, or the reason why it is invalid.
+/// Creates the value of a pipeline with only the required fields; the error states why it is invalid.
 pub(crate) fn example_pipeline() -> Result<Value, String> {
     let required = Pipeline::REQUIRED.map(|(field, value)| format!("{field}: {value}")).join(", ");
     let pipeline =

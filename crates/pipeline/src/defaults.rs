@@ -25,7 +25,7 @@ pub fn split() -> Plugin<dyn Split> {
     Plugin::from(Box::new(Official::default()) as Box<dyn Split>)
 }
 
-/// Returns the initialiser of a method without Gaussians, the default.
+/// Returns the default initialiser, which creates no Gaussians.
 pub fn initializer() -> Plugin<dyn Initializer> {
     Plugin::from(Box::new(NoGaussians::default()) as Box<dyn Initializer>)
 }

@@ -181,7 +181,7 @@ impl Pipeline {
         Ok(resolved)
     }
 
-    /// Splits `data` with the split of the pipeline.
+    /// Splits `data` with the split of the pipeline and the seed `split_seed` or, without it, `seed`.
     ///
     /// # Errors
     /// Errors of the split.

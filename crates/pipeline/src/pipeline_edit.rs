@@ -53,7 +53,7 @@ impl PipelineEdit {
         Ok(())
     }
 
-    /// Replaces each path by the result of `absolute`.
+    /// Replaces each path in the pipeline by its result of `absolute`.
     ///
     /// # Errors
     /// A path that is not valid text.
@@ -87,7 +87,7 @@ impl PipelineEdit {
     }
 
     /// Returns a fault of the text with the changes that caused it: those inside the smallest value around its position
-    /// that contains a change.
+    /// that contains a change. For a single change, the message adds the type of its value if `hint` asks for it.
     fn blame(&self, fault: TextFault) -> EditFault {
         let TextFault { mut message, at, hint } = fault;
         let tree = self.parse_tree();

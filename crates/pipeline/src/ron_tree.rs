@@ -138,7 +138,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Skips `#![enable(..)]` at the start of a file.
+    /// Skips `#![enable(..)]` at the start of a file. Returns an error if it does not end.
     fn skip_attributes(&mut self) -> Result<(), String> {
         self.skip_space()?;
         while self.rest().starts_with("#!") {

@@ -185,8 +185,7 @@ impl ComparedRuns {
 }
 
 impl CompareSettings {
-    /// Reads the predictions of other programs as baselines. Each needs a name of its own, and a prediction per link of
-    /// `test`.
+    /// Reads the predictions of other programs as baselines. Each needs a unique name, and a prediction per link of `test`.
     fn read_predictions(&self, plan: &SweepPlan, data: &Dataset, test: &[usize]) -> Result<Vec<Plugin<dyn Baseline>>> {
         let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
         let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());

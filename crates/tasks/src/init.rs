@@ -78,13 +78,12 @@ impl DataSurvey {
     }
 }
 
-/// Creates a pipeline called `name` for `data`, which the data source `source` (RON) reads, with the split of
-/// [`suggest_split`] and the defaults for the kind of data.
+/// Creates a pipeline called `name` for `data`, which the data source `source` (RON) reads, with the split of [`suggest_split`],
+/// or the default one if that is an error, and the defaults for the kind of data, without baselines that do not support them.
 ///
 /// # Errors
 /// An invalid source or name.
 pub fn default_pipeline(source: &str, data: &Dataset, name: &str) -> Result<Pipeline> {
-    // Data without any valid split get the default split.
     let split = suggest_split(data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
     // Missing fields then get the defaults for this kind of data.
     let text = format!("Pipeline(name: {name:?}, data: {source}, {split}initializer: Random())");
@@ -102,7 +101,8 @@ fn quote_path(path: &Path) -> Result<String> {
 /// Shipped pipeline to start from, largest number of transmitters per step, and baselines as RON.
 type Template = (&'static str, usize, &'static str);
 
-/// Selects the template for the kind of data, and adds the settings that differ from it to `set`.
+/// Selects the template for the kind of data, and adds the settings that differ from it to `set`. Returns an error if the path of
+/// a point cloud is not UTF-8.
 fn select_template(survey: &DataSurvey, set: &mut Vec<String>) -> Result<Template> {
     let data = &survey.data;
     Ok(match data.features.as_ref().map(|features| features.width) {

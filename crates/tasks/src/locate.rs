@@ -53,7 +53,7 @@ pub struct LocatedRow {
 }
 
 impl LocatedRow {
-    /// Formats the columns of `locations.csv` that need the true position: empty columns if it is unknown.
+    /// Formats the five columns of `locations.csv` from `true_x` to `region_holds`: empty if the true position is unknown.
     fn truth_columns(&self) -> String {
         let Some(truth) = self.truth else { return ",,,,".into() };
         let ([x, y, z], error) = (truth, distance(self.located.position, truth));
@@ -281,7 +281,7 @@ fn empty_map(locator: &Locator<'_>, data: &Dataset) -> LocationMap<'static> {
 }
 
 impl Localisation {
-    /// Writes the list of positions, the outlines of the regions, the map of the errors, and images of the regions with densities
+    /// Writes `locations.csv`, `regions.json` with their outlines, the map `errors.png`, and an image per region with densities
     /// into `folder`.
     ///
     /// # Errors

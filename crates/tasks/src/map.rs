@@ -259,7 +259,7 @@ impl RadioMap {
     }
 
     /// Returns the number of values that are not finite.
-    pub fn missing(&self) -> usize {
+    pub fn count_missing(&self) -> usize {
         self.layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count()
     }
 

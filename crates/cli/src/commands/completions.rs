@@ -59,7 +59,7 @@ pub(crate) fn write_manual(arguments: &Man, mut command: Command) -> Result<()> 
     pages.iter().try_for_each(|(path, text)| files::write_atomically(path, text))
 }
 
-/// Rejects an existing file, except an earlier version of the same manual page, by its title.
+/// Rejects an existing file, except an earlier version of the same manual page, which its title shows.
 fn check_replaceable(path: &Path) -> Result<()> {
     let Ok(metadata) = path.symlink_metadata() else { return Ok(()) };
     let title = format!(".TH {} ", path.file_stem().unwrap_or_default().display());

@@ -15,7 +15,8 @@ const FEW_TERMS: usize = 250_000;
 /// Selects the device of `--device`, or of the environment without it.
 ///
 /// # Errors
-/// [`Error::Config`](pwrfgs_core::Error) if there is no such GPU, or this program cannot use it.
+/// [`Error::Config`](pwrfgs_core::Error) if the environment has no valid device, there is no such GPU, or this program cannot
+/// use it.
 pub(crate) fn set_device(choice: Option<DeviceChoice>) -> Result<()> {
     choice.map_or_else(device::from_environment, Ok).and_then(pwrfgs::device::select)
 }

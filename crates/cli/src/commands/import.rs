@@ -84,7 +84,7 @@ pub(crate) struct Import {
     pub(crate) channels: ChannelImport,
 }
 
-/// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
+/// Runs `pwrfgs import`: writes the data folder, or prints some rows with `--dry-run`; warns of findings on the data.
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone();
     let folder = out.as_ref().and_then(|out| out.file_name());
@@ -113,7 +113,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     import_spectra(arguments, &out, name, receiver, verbosity)
 }
 
-/// Writes spectra into the folder `out`, and prints their shape and the settings of a pipeline.
+/// Writes spectra into the folder `out`, and prints their shape and the settings of a pipeline. Removes the folder again if a
+/// finding is not accepted.
 fn import_spectra(arguments: &Import, out: &Path, name: String, receiver: Pose, verbosity: Verbosity) -> Result<()> {
     let work = Work {
         spectra: arguments.spectra.clone().unwrap_or_default(),

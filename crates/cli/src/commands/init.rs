@@ -91,7 +91,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     ))
 }
 
-/// Reads the data for the pipeline file `out`.
+/// Reads the data for the pipeline file `out`; with `--colormap`, as images of a camera.
 fn read_survey(arguments: &Init, out: &Path, verbosity: Verbosity) -> Result<DataSurvey> {
     // Paths in a pipeline are relative to its file.
     let folder = &arguments.folder;

@@ -50,7 +50,7 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let map = RunProgress::observe(verbosity, |progress| map_model(&ensemble, &arguments.settings, progress))?;
     map.write(&folder)?;
     folder.publish()?;
-    let missing = map.missing();
+    let missing = map.count_missing();
     if missing > 0 {
         let missing = grouped(missing as i64);
         output::print_warning(&format!(

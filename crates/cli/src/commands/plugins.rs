@@ -77,8 +77,8 @@ fn list_names(chapters: &[DocChapter]) -> String {
            pwrfgs plugins --markdown prints the complete reference\n"
 }
 
-/// Lists the kinds and describes the plugins, settings and types that are called `name`, of any case. Returns an error
-/// if there are none.
+/// Lists the kinds and describes the plugins, settings and types that are called `name`, ignoring case. Returns an error if
+/// there are none.
 fn describe_entries(name: &str, chapters: &[DocChapter]) -> Result<String> {
     let requested = name.to_lowercase();
     let mut out = String::new();

@@ -42,7 +42,7 @@ pub(crate) struct Update {
     pub(crate) accept: Vec<String>,
 }
 
-/// Runs `pwrfgs update`: writes the model with the new links, unless the data are far from it.
+/// Runs `pwrfgs update`: writes the model with the new links. Data with a finding that is not accepted are an error.
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;

@@ -124,7 +124,7 @@ fn docs_of_value(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Doc
     }
 }
 
-/// Formats a value in one line; settings whose fields are all optional become `Name()`.
+/// Formats a value in one line; settings whose fields are all optional become `Name()`, whatever their values.
 fn short_text(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
     match kind {
         Some(DocKind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {

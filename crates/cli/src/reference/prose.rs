@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-/// Splits a doc comment into paragraphs without code examples, each in one line; tables keep their lines.
+/// Splits a doc comment into paragraphs without code examples, each in one line. Entries of lists and lines of tables are
+/// paragraphs.
 pub(crate) fn split_paragraphs(text: &str) -> Vec<String> {
     let mut paragraphs: Vec<String> = Vec::new();
     let (mut is_code, mut is_open) = (false, false);

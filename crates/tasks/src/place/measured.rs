@@ -163,7 +163,7 @@ impl PowerMatrix {
         Some(Self { powers, weakest, missing: (receivers * transmitters).saturating_sub(data.links.len()) })
     }
 
-    /// Describes the number of pairs without a link.
+    /// Describes the number of pairs without a link, and their power.
     fn describe_missing(&self) -> String {
         let pairs = self.powers.iter().map(Vec::len).sum::<usize>();
         format!(
