@@ -65,6 +65,7 @@ impl Pruner for ControlGs {
             .then(|| (cloud.opacities() * cloud.leaf(PULL).clone()).sum::<Rank0, _>() * self.lambda)
     }
 
+    /// Updates the state of pruning after a prune step, from N before it, which this function stores in the prune step.
     fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, context: &StepContext) {
         let (n, before, mut trend) = (cloud.len(), shared_value(cloud, COUNT), shared_value(cloud, TREND));
         if before > 0.0 {

@@ -70,6 +70,7 @@ impl Pruner for GaussianSpa {
         Some((cloud.opacities() + cloud.constant(away)).square().sum::<Rank0, _>() * (0.5 * self.rho))
     }
 
+    /// Projects the opacities to the sparse vector every `every` steps, and updates the dual variable.
     fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, context: &StepContext) {
         if context.phase != Phase::Prune || !context.step.is_multiple_of(self.every) || cloud.is_empty() {
             return;

@@ -81,6 +81,7 @@ impl Pruner for Mcmc {
         }
     }
 
+    /// Moves faint Gaussians onto others and adds copies up to the target; `None` if no row changes.
     fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
         if context.round == 0 {
             return None;

@@ -74,6 +74,7 @@ impl Rasterizer for AlphaBlending {
         let lists: &TileLists = cached(&render.cache);
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
+        // Each tile writes its own slice of `parts`.
         let mut remaining = parts.as_mut_slice();
         let mut slices = Vec::with_capacity(lists.tile_count());
         for t in 0..lists.tile_count() {
