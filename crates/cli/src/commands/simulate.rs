@@ -154,9 +154,9 @@ impl Simulate {
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The folder contains scene.xml and meshes/*.ply, one mesh per object. Sheets keep material and
-thickness; solids (without `thickness_m`) become sheets with a thickness of 10 m. Antennas are not
-written: set them in Python (Sionna RT).
+The folder contains scene.xml and meshes/*.ply: a mesh per object, and meshes of walls, floor and
+ceiling. Sheets keep material and thickness; solids (without `thickness_m`) become sheets with a
+thickness of 10 m. Antennas are not written: set them in Python (Sionna RT).
 
 EXAMPLES
   pwrfgs export-scene scenes/conference.ron --out conference
