@@ -283,27 +283,18 @@ impl<'a> Comparison<'a> {
 
     /// Returns the notes of all predictors of the setting, each once; notes on the model of a run name its variant.
     pub(super) fn notes(&self) -> Vec<String> {
-        let variant_notes = |variant: &'a StudyVariant| {
-            let label = &variant.label;
-            let named = move |note: &String| match note {
-                // A baseline has one width per model at the coverage of that model.
-                note if note.contains(OF_MODEL) => without_parenthesis(note, OF_MODEL),
-                note if note.starts_with("validation ") => format!("{label}: {note}"),
-                note => note.replace(" of model", &format!(" of {label}")),
-            };
-            variant.runs.iter().flat_map(|run| &run.scores.table.notes).map(named)
+        let named = |(label, note): (&'a str, &String)| match note.split_once(" at the coverage of model)") {
+            // A baseline has one width per model.
+            Some((head, tail)) => format!("{}{tail}", head.rsplit_once(" (").map_or(head, |(head, _)| head)),
+            None if note.starts_with("validation ") => format!("{label}: {note}"),
+            None => note.replace(" of model", &format!(" of {label}")),
         };
-        distinct(self.setting.variants.iter().flat_map(variant_notes))
+        let notes = self.setting.variants.iter().flat_map(|variant| {
+            let notes = variant.runs.iter().flat_map(|run| &run.scores.table.notes);
+            notes.map(|note| (variant.label.as_str(), note))
+        });
+        distinct(notes.map(named))
     }
-}
-
-/// End of a parenthesis in the notes of `IntervalScores`.
-const OF_MODEL: &str = " at the coverage of model)";
-
-/// Returns `text` without the parenthesis that ends with `end`, which includes its bracket.
-fn without_parenthesis(text: &str, end: &str) -> String {
-    let cut = text.split_once(end).and_then(|(head, tail)| Some((head.rsplit_once(" (")?.0, tail)));
-    cut.map_or_else(|| text.to_owned(), |(head, tail)| format!("{head}{tail}"))
 }
 
 /// Returns a row per baseline, sorted by type, with the first run of each seed.
@@ -399,17 +390,4 @@ pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'
         }
     }
     lines.text()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn notes_on_baselines_lack_the_width_at_the_coverage_of_one_model() {
-        let note = "90 % intervals of Kriging: 90.2 % of pixels inside, mean width 0.22 (0.23 at the coverage of model); 84 %";
-        let short = "90 % intervals of Kriging: 90.2 % of pixels inside, mean width 0.22; 84 %";
-        assert_eq!(without_parenthesis(note, OF_MODEL), short);
-        assert_eq!(without_parenthesis(short, OF_MODEL), short);
-    }
 }

@@ -1,7 +1,8 @@
+use super::super::comparison::Comparison;
 use super::panels::spectra_columns;
 use super::shown::one_variant_per_method;
 use super::tradeoff::method_lines;
-use super::{Figure, draw_figures, gaussians};
+use super::{Figure, FigureSet, draw_figures, gaussians};
 use crate::canvas::outside;
 use crate::draw::charts::LineName;
 use crate::page;
@@ -81,5 +82,32 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
         for stem in ["gaussians", "ssim-n", "eta-n", "latency", "distance", "room", "spectra", "eta-snr"] {
             assert!(drawn.figures.iter().any(|Figure { name, .. }| name == stem), "{stem} of {count} variants");
         }
+        let room = |drawn: &FigureSet| drawn.figures.iter().find(|figure| figure.name == "room").unwrap().clone();
+        let is_best = " Of each method, the variant with the best SSIM is shown. Variants that are not shown: 2;";
+        assert_eq!(room(&drawn).caption.contains(is_best), count == 6, "{}", room(&drawn).caption);
+        let mut svg_of = |simulated: bool, chosen: &[String]| {
+            study.settings[0].simulated = simulated;
+            room(&draw_figures(&study.settings[0], chosen, &|_, _| {})).svg
+        };
+        assert_ne!(svg_of(true, &[]), svg_of(false, &[]), "a mark on simulated data");
+        if count == 6 {
+            assert_ne!(svg_of(false, &["Grid".into(), "mask".into()]), svg_of(false, &[]), "all chosen variants");
+        }
     }
+}
+
+#[test]
+fn notes_name_their_variant_and_leave_out_widths_that_differ_by_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut study = Study::read(&[trained(folder.path(), "Grid 6", 6)]).unwrap();
+    let kriging = "90 % intervals of Kriging: mean width 0.22 (0.23 at the coverage of model); 84 %";
+    let notes = ["90 % intervals of model: mean width 0.2", kriging, "validation SSIM was best at step 2"];
+    study.settings[0].variants[0].label = "mask".into();
+    study.settings[0].variants[0].runs[0].scores.table.notes = notes.map(str::to_owned).into();
+    let expected = [
+        "90 % intervals of mask: mean width 0.2",
+        "90 % intervals of Kriging: mean width 0.22; 84 %",
+        "mask: validation SSIM was best at step 2",
+    ];
+    assert_eq!(Comparison::new(&study.settings[0]).notes(), expected);
 }
