@@ -79,6 +79,14 @@ def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
     same(pickle.loads(pickle.dumps(part)), part)
 
 
+def test_pickled_part_keeps_the_bounds_of_map_coordinates(moving):
+    poses = moving.rx_pose + np.array([5e5, 54e5, 0, 0, 0, 0, 0])
+    whole = pwrfgs.Dataset.from_arrays(spectra=moving.spectra, rx_pose=poses)
+    part = whole[np.argsort(poses[:, 0])[:4]]  # its origin is near its first pose
+    bounds = pickle.loads(pickle.dumps(part)).__reduce__()[1][0]["bounds"]
+    assert np.allclose(bounds, [poses[:, :3].min(axis=0), poses[:, :3].max(axis=0)], rtol=0, atol=1e-3)
+
+
 def test_carriers_are_receivers(carriers, tmp_path):
     assert [receiver.name for receiver in carriers.receivers] == ["2400MHz", "2500MHz"]
     assert [receiver.carrier_hz for receiver in carriers.receivers] == [2.4e9, 2.5e9]

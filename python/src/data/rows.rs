@@ -96,7 +96,8 @@ impl Dataset {
         state.set_item("transmitter", self.transmitter(py)?)?;
         state.set_item("ids", data.samples().map(|s| s.id).collect::<Vec<_>>())?;
         state.set_item("receiver", data.samples().map(|s| s.receiver).collect::<Vec<_>>())?;
-        state.set_item("bounds", data.scene.bounds)?;
+        let bounds: [[Real; 3]; 2] = data.scene.bounds.into();
+        state.set_item("bounds", bounds.map(|corner| data.scene.origin.world(corner)))?;
         state.set_item("elevation", (data.elevation.first, data.elevation.last))?;
         state.set_item("placed", data.placed)?;
         let marks = data.scene.receivers.iter().map(|r| (r.is_estimated, r.is_relative));
@@ -109,6 +110,13 @@ impl Dataset {
         state.set_item("simulation", data.simulation.as_ref().map(|simulation| (simulation.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
         state.set_item("camera", data.camera().map(|camera| (camera.focal, camera.centre)))?;
+        self.pickle_observations(&state)?;
+        Ok(state)
+    }
+
+    /// Adds the observations to the `state`, from which [`pickled_observations`] reads them.
+    fn pickle_observations(&self, state: &Bound<'_, PyDict>) -> PyResult<()> {
+        let (py, data) = (state.py(), &self.data);
         let number = data.observations.number();
         match &data.observations {
             Observations::Spectra(spectra) => {
@@ -117,15 +125,14 @@ impl Dataset {
                     spectra.check().map(|()| bytes)
                 })?;
                 let format = FORMATS.iter().find(|(_, format)| *format == number).map_or("f4", |(name, _)| name);
-                state.set_item("spectra", (PyBytes::new(py, &bytes), format, data.width, data.height))?;
+                state.set_item("spectra", (PyBytes::new(py, &bytes), format, data.width, data.height))
             }
-            Observations::Powers(_) => state.set_item("rssi", self.rssi(py)?)?,
+            Observations::Powers(_) => state.set_item("rssi", self.rssi(py)?),
             Observations::Channels(_) => {
                 state.set_item("csi", self.csi(py)?)?;
-                state.set_item("frequencies_hz", self.frequencies_hz(py)?)?;
+                state.set_item("frequencies_hz", self.frequencies_hz(py)?)
             }
         }
-        Ok(state)
     }
 
     /// Restores a data set from the state of [`Self::pickled_state`].
@@ -193,7 +200,9 @@ pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> P
 /// Returns the scene with the pickled bounds, floors, geodetic zero, and marks of receivers.
 fn restore_scene(mut scene: Scene, state: &Bound<'_, PyDict>) -> PyResult<Scene> {
     let get = |name: &str| state.as_any().get_item(name);
-    scene.bounds = get("bounds")?.extract()?;
+    let bounds: [[f64; 3]; 2] = get("bounds")?.extract()?;
+    // The origin of a part may differ from that of the whole.
+    scene.bounds = bounds.map(|corner| scene.origin.local(corner)).into();
     let marks: Vec<(bool, bool)> = get("marks")?.extract()?;
     for (receiver, marks) in scene.receivers.iter_mut().zip(marks) {
         (receiver.is_estimated, receiver.is_relative) = marks;
@@ -213,7 +222,7 @@ fn pickled_features(features: &Bound<'_, PyAny>, count: usize) -> PyResult<Optio
     Ok(Some(Features { width: values.len() / count.max(1), values }))
 }
 
-/// Returns the observations of a pickled data set.
+/// Returns the observations of a pickled data set, from its `state`.
 fn pickled_observations(state: &Bound<'_, PyDict>) -> PyResult<Observations> {
     let py = state.py();
     if let Some(spectra) = state.get_item("spectra")? {
