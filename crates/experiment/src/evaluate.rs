@@ -101,7 +101,8 @@ impl ActiveRun<'_, '_> {
         if validated.is_empty() || pipeline.training.validate_every == 0 {
             return Ok(Vec::new());
         }
-        let (samples, metrics) = (EvaluationSet::new(data, &validated, plane), defaults::validation(data.task()));
+        let (samples, metrics) =
+            (EvaluationSet::new(data, &validated, plane), defaults::validation_metrics(data.task()));
         let mut means = Vec::new();
         for (index, baseline) in pipeline.baselines.iter().enumerate().filter(|(_, baseline)| !baseline.is_external()) {
             self.session.check_stopped()?;

@@ -315,7 +315,7 @@ fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
 /// of the first if there is no second.
 fn validate(step: u64, model: &Model, data: &Dataset, samples: &[usize]) -> Result<Validation> {
     let set = EvaluationSet::new(data, samples, &model.stages.plane);
-    let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
+    let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation_metrics(data.task()));
     let scored = ScoredPredictor { name: "the model", predictor: Predictor::Model(model, None), metrics: &metrics };
     let measured = set.score(scored, &mut Session::new(&mut NoopObserver))?;
     let Summary { mean, median, tail10 } = match measured.first().map(|m| &m.values) {

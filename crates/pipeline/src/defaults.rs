@@ -81,7 +81,7 @@ pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
 }
 
 /// Returns the metrics of `validation.csv`, whose columns are `Headline::columns`: the first metric has all three, or two.
-pub fn validation(task: Task) -> Vec<Plugin<dyn Metric>> {
+pub fn validation_metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
     match task {
         Task::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],
         Task::Power => plugins![Metric: PowerError::default()],

@@ -3,7 +3,7 @@
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::import::{ChannelImport, Import as Work};
+use pwrfgs::data::import::{ChannelImport, Import as SpectraImport};
 use pwrfgs::data::{Colormap, ImportedTable, TableImport, save};
 use pwrfgs::experiment::{check_findings, describe_observations, run_stage};
 use pwrfgs::tasks::init::unknown_folder_error;
@@ -116,7 +116,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
 /// Writes spectra into the folder `out`, and prints their shape and the settings of a pipeline. Removes the folder again if a
 /// finding is not accepted.
 fn import_spectra(arguments: &Import, out: &Path, name: String, receiver: Pose, verbosity: Verbosity) -> Result<()> {
-    let work = Work {
+    let import = SpectraImport {
         spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
         receiver,
@@ -127,7 +127,7 @@ fn import_spectra(arguments: &Import, out: &Path, name: String, receiver: Pose, 
         simulated: arguments.simulated,
     };
     let imported = RunProgress::observe(verbosity, |progress| {
-        let imported = run_stage(progress, "spectra", |progress| work.write(out, progress))?;
+        let imported = run_stage(progress, "spectra", |progress| import.write(out, progress))?;
         let source = recognise(out).ok_or_else(|| unknown_folder_error(out))?;
         let data = run_stage(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
         let checked = check_findings(&data, None, Some(&arguments.accept), progress);

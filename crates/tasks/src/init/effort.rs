@@ -105,7 +105,7 @@ impl Sizing {
         let batch = survey.batch_size(most);
         // Two of eight models leave out the same of four parts (`Pipeline::parts`), so the share of the residuals is chosen for
         // their mean. A step at many receivers takes about twice as long, so there are half as many models.
-        let has_short_steps = is_power && !survey.is_full(batch);
+        let has_short_steps = is_power && !survey.is_link_limited(batch);
         let models = if has_short_steps { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
         let parts = survey.known_parts().max(1);
         let models = if parts < 4 { models.min(parts) } else { models };

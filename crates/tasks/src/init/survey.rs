@@ -158,14 +158,14 @@ impl DataSurvey {
     }
 
     /// Returns whether the number of links limits a `batch`.
-    pub(super) fn is_full(&self, batch: usize) -> bool {
+    pub(super) fn is_link_limited(&self, batch: usize) -> bool {
         batch == (LINKS / self.links_per_transmitter()).max(1)
     }
 
     /// Describes the size of a `batch` that the number of links limits; `None` if it does not.
     pub(super) fn batch_note(&self, batch: usize) -> Option<String> {
         let links = self.links_per_transmitter();
-        self.is_full(batch).then(|| {
+        self.is_link_limited(batch).then(|| {
             format!(
                 "`batch` is the number of transmitters per step: {batch} of {links} links each are about {} links.",
                 grouped((batch * links) as i64)
