@@ -30,7 +30,8 @@ struct View {
 }
 
 impl View {
-    /// Parses projector, rasterizer and pose, and creates the plane of an image of this size.
+    /// Parses projector, rasterizer and pose, and creates the plane of an image of this size between these elevations,
+    /// degrees.
     fn new(
         projector: &Bound<'_, PyAny>,
         rasterizer: &Bound<'_, PyAny>,

@@ -133,7 +133,7 @@ pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'
     }
     let metric = parse_plugin::<dyn Metric>(py, "Chamfer()")?;
     let scene = create_scene(points);
-    let plane = ImagePlane::plain(1, 1);
+    let plane = ImagePlane::plain(1, 1); // not used by this metric
     let measurements = without_gil(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, file_bytes: 0 });
         metric.evaluate(&Evaluation { model, ..evaluation([&[], &[]], &plane, &scene) })

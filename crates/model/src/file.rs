@@ -211,7 +211,7 @@ fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     }
 }
 
-/// Reads a file with one model, without its residual process.
+/// Reads a file with one model, without its residual processes and calibration.
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Input`] for a file that is incomplete, holds several models, or names plugins that are

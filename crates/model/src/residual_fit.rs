@@ -260,8 +260,9 @@ impl<'a> Samples<'a> {
         if data.task().has_path_loss {
             return Ok(fit_powers(data, &links, &check)?.into_iter().map(Some).collect());
         }
-        let fit =
-            |links: Vec<usize>| (!links.is_empty()).then(|| fit_observations(data, &links, false, &check)).transpose();
+        let has_time_scale = false; // positions alone
+        let fit_links = |links: &[usize]| fit_observations(data, links, has_time_scale, &check);
+        let fit = |links: Vec<usize>| (!links.is_empty()).then(|| fit_links(&links)).transpose();
         data.group_by_receiver(links).into_iter().map(fit).collect()
     }
 

@@ -176,7 +176,8 @@ impl Tensors {
         self.encode(|_| false)
     }
 
-    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name `is_half`.
+    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors for whose name `is_half`
+    /// holds.
     ///
     /// # Errors
     /// A number is beyond ±65504, the largest of F16; the message names its tensor.
@@ -192,7 +193,7 @@ impl Tensors {
         }
     }
 
-    /// Returns the bytes of the file, with F16 for tensors whose name `is_half`.
+    /// Returns the bytes of the file, with F16 for tensors for whose name `is_half` holds.
     fn encode(&self, is_half: impl Fn(&str) -> bool) -> Vec<u8> {
         let encoded = |(name, (shape, values)): (&String, &(Vec<usize>, Values))| {
             let narrow = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();

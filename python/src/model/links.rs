@@ -94,7 +94,7 @@ impl Model {
     }
 }
 
-/// Returns the index of a receiver, given its name or index.
+/// Returns the index of a receiver, given its name or index. Raises an exception for an unknown one.
 fn find_receiver(receiver: &Bound<'_, PyAny>, receivers: &[Receiver]) -> PyResult<usize> {
     let py = receiver.py();
     if let Ok(name) = receiver.extract::<String>() {

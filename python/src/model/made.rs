@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 /// exception for a name without a tensor, or another shape.
 fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<Real>> {
     let layout = stages.layout();
-    let mut weights = layout.init(&mut rng::stream(0, "network", 0));
+    let mut weights = layout.init(&mut rng::stream(0, "network", 0)); // a fixed seed: equal arrays give equal models
     if let Some(deformation) = stages.deformation() {
         // Without training positions (of three coordinates): the given weights replace what would follow from them.
         deformation.start(Conditions::new(3, &[]), &mut weights);

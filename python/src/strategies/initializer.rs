@@ -26,8 +26,8 @@ impl Initializer for Strategy {
                 array(py, [world(&scene.bounds.0), world(&scene.bounds.1)].concat(), &[2, 3])?,
                 array(py, fixed, &[count, 3])?,
             );
-            let scene_object = py.import("pwrfgs._types")?.getattr("Room")?.call1(arguments)?;
-            let columns = instance.call_method1("initialize", (scene_object, numpy_generator(py, random)?))?;
+            let room = py.import("pwrfgs._types")?.getattr("Room")?.call1(arguments)?;
+            let columns = instance.call_method1("initialize", (room, numpy_generator(py, random)?))?;
             let Ok(columns) = columns.cast_into::<PyDict>() else {
                 return reject(py, "initialize returned no dict; give a dict with means [N, 3] and scales");
             };

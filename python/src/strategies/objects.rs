@@ -18,7 +18,7 @@ pub(super) fn traced_object<'py>(py: Python<'py>, cloud: &TracedCloud) -> PyResu
     columns_object(py, cloud.len(), columns, false)
 }
 
-/// Converts columns of `n` Gaussians to the Python class `Cloud`.
+/// Converts columns of `n` Gaussians to the Python class `Cloud`, read-only unless `writable`.
 fn columns_object<'py, 'a>(
     py: Python<'py>,
     n: usize,

@@ -101,12 +101,12 @@ fn describe_class(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "something else".into(), |name| format!("a value of {name}"))
 }
 
-/// Returns the cotangents of columns, given the derivatives `slopes` of factor i by row i of each column, and the
-/// cotangents `d_factor` of the factors `[N]`.
-fn gate_vjp(slopes: &[Vec<Real>], d_factor: &[Real]) -> Vec<Vec<Real>> {
+/// Returns the cotangents of columns, given the cotangents `d_values` of values, and the derivatives `slopes` of value
+/// i by row i of each column, or of a single value by all rows.
+fn columns_vjp(slopes: &[Vec<Real>], d_values: &[Real]) -> Vec<Vec<Real>> {
     let column = |slopes: &Vec<Real>| {
-        let width = slopes.len().checked_div(d_factor.len()).unwrap_or(1).max(1);
-        slopes.iter().enumerate().map(|(k, slope)| slope * d_factor[k / width]).collect()
+        let width = slopes.len().checked_div(d_values.len()).unwrap_or(1).max(1);
+        slopes.iter().enumerate().map(|(k, slope)| slope * d_values[k / width]).collect()
     };
     slopes.iter().map(column).collect()
 }
@@ -169,7 +169,7 @@ impl Pruner for Strategy {
             if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
                 return reject(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1"));
             }
-            let vjp = move |cotangents: Vec<Vec<Real>>| gate_vjp(&slopes, &cotangents[0]);
+            let vjp = move |cotangents: Vec<Vec<Real>>| columns_vjp(&slopes, &cotangents[0]);
             let gate = op(columns, vec![factor], vjp).remove(0);
             match word.as_deref() {
                 None => Ok(Gate::Whole(gate)),
@@ -185,9 +185,7 @@ impl Pruner for Strategy {
         self.call_differentiable("penalty", "(number, {column: derivative})", (cloud, context), |curve| {
             let Curve { value, columns, slopes, .. } = curve;
             let number = finite_numbers("penalty: the value", &value, &[])?;
-            let vjp = move |cotangents: Vec<Vec<Real>>| {
-                slopes.iter().map(|slopes| slopes.iter().map(|slope| slope * cotangents[0][0]).collect()).collect()
-            };
+            let vjp = move |cotangents: Vec<Vec<Real>>| columns_vjp(&slopes, &cotangents[0]);
             Ok(op(columns, vec![number], vjp).remove(0).sum())
         })
     }
