@@ -68,8 +68,9 @@ fn perform(comparison: Comparison, dry_run: bool, keep_checkpoint: bool, stop: &
     Ok(ComparedData { runs: runs.collect(), folder: plan.folder, partition, text })
 }
 
-/// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder; `text` are the
-/// settings as RON.
+/// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder; `text` are
+/// the settings as RON. Returns a dict with the folder, the runs with their exceptions, the tables as `text`, and the
+/// links of each set.
 #[pyfunction]
 #[pyo3(signature = (data, source, text, changes, accept, out, dry_run, keep_checkpoint))]
 #[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.compare`

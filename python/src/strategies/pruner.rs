@@ -66,7 +66,8 @@ impl Strategy {
         })
     }
 
-    /// Reads a dict of derivatives by column; returns the columns on the tape and the derivatives.
+    /// Reads a dict of derivatives by column; returns the columns on the tape and the derivatives. Raises an exception
+    /// for an unknown column, one that does not learn, another shape, or an empty dict.
     fn read_slopes(
         &self,
         derivatives: &Bound<'_, PyDict>,
