@@ -121,15 +121,20 @@ impl Model {
         py.import("pwrfgs._arrays")?.call_method1("model", (gaussians, stages, view, weights, tx))
     }
 
-    /// Model from the bytes of a model file.
+    /// Model from the bytes of a model file, which `save` writes again if the model is compressed.
     #[staticmethod]
-    fn _from_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
-        without_gil(py, || file::from_bytes(bytes).map_err(Error::Config)).map(Self::new)
+    #[pyo3(signature = (bytes, is_compressed=false))]
+    fn _from_bytes(py: Python<'_>, bytes: &[u8], is_compressed: bool) -> PyResult<Self> {
+        let ensemble = without_gil(py, || file::from_bytes(bytes).map_err(Error::Config))?;
+        Ok(Self { compressed: is_compressed.then(|| bytes.to_vec()), ..Self::new(ensemble) })
     }
 
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let bytes = without_gil(py, || Ok(file::ensemble_to_bytes(&self.ensemble)))?;
-        Ok((py.get_type::<Self>().getattr("_from_bytes")?, (PyBytes::new(py, &bytes),)))
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>, bool))> {
+        let bytes = match &self.compressed {
+            Some(bytes) => PyBytes::new(py, bytes),
+            None => PyBytes::new(py, &without_gil(py, || Ok(file::ensemble_to_bytes(&self.ensemble)))?),
+        };
+        Ok((py.get_type::<Self>().getattr("_from_bytes")?, (bytes, self.compressed.is_some())))
     }
 
     fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import inspect
 import logging
+import pickle
 import re
 import subprocess
 
@@ -217,6 +218,8 @@ def test_compressed_models_predict_alike(model, run, caplog, command, tmp_path):
     small.save(tmp_path / "small.safetensors")
     written = command("compress", run.folder, "--bits", "8", file="program.safetensors")
     assert (tmp_path / "small.safetensors").read_bytes() == written.read_bytes()
+    pickle.loads(pickle.dumps(small)).save(tmp_path / "again.safetensors")
+    assert (tmp_path / "again.safetensors").read_bytes() == written.read_bytes()
     near = model.training_positions[:3]
     assert np.abs(small.predict(near) - model.predict(near)).mean() < 0.02
     with pytest.raises(pwrfgs.InputError, match="bits is 9, expected 8 or 16"):
