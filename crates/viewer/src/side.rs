@@ -204,8 +204,8 @@ impl ViewPane {
         Ok(Arc::clone(fitted))
     }
 
-    /// Reads the model or the last checkpoint of the run again. Returns whether the final model exists, or there
-    /// is no run.
+    /// Reads the model or the last checkpoint of the run again. Returns whether the final model exists, or there is no run;
+    /// an error for a file that cannot be read.
     pub(crate) fn reload(&self) -> Result<bool> {
         let (Some(folder), Some(loaded)) = (&self.folder, &self.loaded) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);
