@@ -210,7 +210,8 @@ impl Model {
         self.predicted_array(py, &links, |queries, numbers| {
             let count = numbers.len() / queries.len();
             for (query, numbers) in queries.iter().zip(numbers.chunks_exact_mut(count)) {
-                numbers.copy_from_slice(&self.prepared().predict_with_deviation(*query).1.pixels);
+                let (_, deviation, _) = self.prepared().predict_with_deviation(*query);
+                numbers.copy_from_slice(&deviation.pixels);
             }
         })
     }

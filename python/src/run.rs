@@ -276,7 +276,7 @@ fn with_stated_positions(
         let fixed = tx.map(|tx| arrays::position("tx", tx)).transpose()?;
         let poses = match file {
             Some(file) => read_poses(&file).map_err(exception)?,
-            None => arrays::poses("rx_pose", stated)?.0,
+            None => arrays::poses("rx_pose", stated).map(|(poses, _)| poses)?,
         };
         return scene.with_receiver_poses(poses, fixed).map_err(exception);
     }

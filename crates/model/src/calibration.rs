@@ -107,6 +107,7 @@ fn weighted_distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distributi
         (shares[index.min(shares.len() - 1)].0, share)
     };
     let quantiles = if shares.len() > most { (1..=most).map(quantile).collect() } else { shares.clone() };
+    // Scores stay finite in a file of single precision, and rounded shares reach 1.
     let mut distribution: Distribution =
         quantiles.iter().map(|(score, share)| [score.min(f64::from(f32::MAX)) as Real, *share as Real]).collect();
     distribution.last_mut().into_iter().for_each(|last| last[1] = 1.0);

@@ -173,28 +173,28 @@ fn member_prefix(member: usize) -> String {
 /// Creates the metadata of a model, with the lowest version of the format that supports it. Poses are in the user's frame; a
 /// moving receiver has its pose in the query, so the stored one is not converted.
 fn create_note(model: &Model) -> Note {
-    let s = &model.stages;
-    let world = |pose: Pose| if s.moving.is_receiver() { pose } else { s.origin.world_pose(pose) };
+    let stages = &model.stages;
+    let world = |pose: Pose| if stages.moving.is_receiver() { pose } else { stages.origin.world_pose(pose) };
     let receiver = |r: &Receiver| Receiver { pose: world(r.pose), ..r.clone() };
     Note {
         format: FORMAT.into(),
-        version: match (s.moving.is_receiver(), s.carriers().is_empty()) {
+        version: match (stages.moving.is_receiver(), stages.carriers().is_empty()) {
             (true, _) => MOVING_VERSION,
             (false, true) => VERSION,
             (false, false) => CARRIERS_VERSION,
         },
         gaussians: model.cloud.len(),
-        method: plugin_text(&s.method),
+        method: plugin_text(&stages.method),
         links: LinksNote {
-            kind: s.task,
-            moving: s.moving.is_receiver().then_some(End::Receiver),
-            transmitter: s.transmitter.map(|position| s.origin.world_pose(position.into()).position),
-            receivers: s.receivers.iter().map(receiver).collect(),
-            frequencies_hz: s.frequencies_hz.clone(),
-            geodetic: s.geodetic,
+            kind: stages.task,
+            moving: stages.moving.is_receiver().then_some(End::Receiver),
+            transmitter: stages.transmitter.map(|position| stages.origin.world_pose(position.into()).position),
+            receivers: stages.receivers.iter().map(receiver).collect(),
+            frequencies_hz: stages.frequencies_hz.clone(),
+            geodetic: stages.geodetic,
         },
-        origin: s.origin,
-        plane: s.plane.clone(),
+        origin: stages.origin,
+        plane: stages.plane.clone(),
     }
 }
 

@@ -237,7 +237,8 @@ impl Residuals {
         let variance = match self.process(query.receiver) {
             Some(process) => {
                 let at = place(origin.local(query.position()));
-                process.fit.variance * process.kriging.solve(at, self.neighbours).1.variance
+                let (_, solution) = process.kriging.solve(at, self.neighbours);
+                process.fit.variance * solution.variance
             }
             None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
         };

@@ -55,7 +55,7 @@ impl TrainingPositions {
     /// Creates the set from thinned positions; `None` without positions.
     pub(crate) fn of(positions: Vec<[Real; 3]>) -> Option<Self> {
         let precise: Vec<[f64; 3]> = positions.iter().map(|at| at.map(f64::from)).collect();
-        let spacings = sorted(nearest_others(&precise).into_iter().flatten().map(|other| other.0));
+        let spacings = sorted(nearest_others(&precise).into_iter().flatten().map(|(distance, _)| distance));
         let last = positions.len().checked_sub(1)?;
         // A single position has no neighbour.
         let spacing = spacings.get((SPACING * last as f64).round() as usize).copied().unwrap_or(0.0);

@@ -64,7 +64,7 @@ impl ServerState {
     /// of the curve, and of model or checkpoint. Returns whether the run has finished: its model and `run.json` can be
     /// read.
     fn send_change(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
-        let training = training_folder(folder).1;
+        let (_, training) = training_folder(folder);
         let modified = |path: PathBuf| std::fs::metadata(path).and_then(|file| file.modified()).ok();
         let model = modified(folder.join(MODEL_FILE)).or_else(|| modified(training.join(CHECKPOINT)));
         let now = [modified(training.join(CURVE)), model];

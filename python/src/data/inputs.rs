@@ -30,7 +30,7 @@ pub(super) fn moving_poses(
 ) -> PyResult<Vec<Pose>> {
     match (tx, rx_pose) {
         (Some(tx), None) if !has_transmitter => Ok(positions("tx", tx)?.into_iter().map(Pose::from).collect()),
-        (None, Some(rx_pose)) => Ok(arrays::poses("rx_pose", rx_pose)?.0),
+        (None, Some(rx_pose)) => arrays::poses("rx_pose", rx_pose).map(|(poses, _)| poses),
         _ => {
             let form = "give tx: positions [M, 3] of a transmitter that moves, or rx_pose: poses [M, 7] of a receiver that moves";
             reject(py, form)

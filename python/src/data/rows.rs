@@ -154,7 +154,7 @@ impl Dataset {
         let poses: Vec<Pose> = if rx_pose.is_none() {
             positions("positions", &get("positions")?)?.into_iter().map(Pose::from).collect()
         } else {
-            arrays::poses("rx_pose", &rx_pose)?.0
+            arrays::poses("rx_pose", &rx_pose).map(|(poses, _)| poses)?
         };
         let links = ids.iter().zip(poses).zip(receiver);
         let samples: Vec<Sample> =

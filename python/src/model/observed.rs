@@ -41,7 +41,10 @@ impl Model {
         // One link is predicted as on the command line, several in groups that share work. The results are
         // bit-identical.
         self.predicted_array(py, links, |queries, numbers| match queries {
-            [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
+            [query] => {
+                let (image, _) = self.prepared().predict_timed(*query);
+                numbers.copy_from_slice(&image.pixels);
+            }
             queries => self.prepared().predict_into(queries, numbers),
         })
     }

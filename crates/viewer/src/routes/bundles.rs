@@ -308,7 +308,8 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
 
 /// Creates the bundle of the training curve: steps, losses and numbers of Gaussians, in at most about [`ROWS`] rows.
 fn curve_bundle(side: &ViewPane) -> TensorBundle {
-    let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&training_folder(folder).1.join(CURVE)));
+    let training = side.folder.as_deref().map(training_folder);
+    let rows = training.map_or(Vec::new(), |(_, training)| read_series(&training.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
     let shown: Vec<_> =
         rows.iter().enumerate().filter(|(k, _)| (k + 1).is_multiple_of(stride) || k + 1 == rows.len()).collect();
