@@ -405,7 +405,9 @@ def report(
 ) -> str:
     """Compare finished runs or sweeps: write tables, figures and report.html to ``out`` (default: ``report`` in the first
     folder); returns the tables as text. ``columns`` are those of the score table in LaTeX, such as ``["ssim",
-    "ssim.median"]``, and ``variants`` the variants or methods in the figures, at most 6."""
+    "ssim.median"]``, and ``variants`` the variants or methods in the figures, at most 6. ``reference`` is the variant or
+    baseline from which differences are taken, or a value on an axis, such as ``"Mine"``: each variant is then compared with
+    the one that differs only on this axis."""
     given = [runs] if isinstance(runs, (str, os.PathLike, Run)) else list(runs)
     folders = [one.folder if isinstance(one, Run) else os.fspath(one) for one in given]
     if not folders:

@@ -43,7 +43,7 @@ struct Arguments {
     #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
     /// Device for rendering and for the networks of `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
-    /// [default: environment variable PWRFGS_DEVICE, or cpu]
+    /// [default: environment variable `PWRFGS_DEVICE`, or cpu]
     #[arg(long, global = true, value_name = "DEVICE")]
     device: Option<DeviceChoice>,
     /// Print only errors, warnings and results

@@ -4,6 +4,7 @@ mod comparison;
 pub mod figures;
 mod output;
 mod page;
+mod reference;
 mod tables;
 
 pub use output::write;

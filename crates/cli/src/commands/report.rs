@@ -36,7 +36,7 @@ pub(crate) struct Report {
     #[arg(
         long,
         value_name = "LABEL",
-        help = "Reference of paired differences: a variant (name in the table) or a\nbaseline such as 5-NN [default: first variant]"
+        help = "Reference of paired differences: a variant (name in the table), a baseline\nsuch as 5-NN, or a value on an axis, such as Mine for `pruner Mine,\ntarget_count 60`: each variant is then compared with the one that differs\nonly on this axis [default: first variant]"
     )]
     pub(crate) reference: Option<String>,
     /// Columns of the score table in LaTeX, such as ssim,ssim.median,gaussians.

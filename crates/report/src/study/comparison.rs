@@ -1,5 +1,6 @@
 //! `Comparison`: rows of a setting (variants, then baselines) with all their numbers, as in `report.csv`.
 
+use super::reference::{Reference, RowDifferences};
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
 use pwrfgs_experiment::{CEILING, Record, Setting, StudyVariant, distinct, text::Lines};
@@ -205,16 +206,6 @@ impl<'a> Comparison<'a> {
         ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || self.has_one_machine())
     }
 
-    /// Returns the row with a label, or else the first variant that has it after the name of its axis, such as `pruners
-    /// Mine` for `Mine`; `None` without one.
-    pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
-        let without_axis = |row: &&ComparisonRow<'_>| {
-            row.kind == RowKind::Variant && row.label.split_once([' ', '=']).is_some_and(|(_, end)| end == label)
-        };
-        let exact = self.rows.iter().find(|row| row.label == label);
-        exact.or_else(|| self.rows.iter().find(without_axis))
-    }
-
     /// Returns the metric with a key; `None` without one.
     pub(super) fn metric(&self, key: &str) -> Option<&MetricRow> {
         self.metrics.iter().find(|m| m.key == key)
@@ -290,8 +281,14 @@ impl<'a> Comparison<'a> {
             None => note.replace(" of model", &format!(" of {label}")),
         };
         let notes = self.setting.variants.iter().flat_map(|variant| {
-            let notes = variant.runs.iter().flat_map(|run| &run.scores.table.notes);
-            notes.map(|note| (variant.label.as_str(), note))
+            let of_seeds = variant
+                .runs
+                .iter()
+                .enumerate()
+                .flat_map(|(k, run)| run.scores.table.notes.iter().map(move |note| (k, note)));
+            // Intervals of further seeds are similar.
+            let first = of_seeds.filter(|(k, note)| *k == 0 || !note.starts_with("90 % intervals"));
+            first.map(|(_, note)| (variant.label.as_str(), note))
         });
         distinct(notes.map(named))
     }
@@ -349,14 +346,14 @@ fn all_metrics(setting: &Setting) -> Vec<MetricRow> {
 /// Columns of `report.csv`.
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";
 
-/// Formats `report.csv`, one line per number, from comparisons and the labels of their references.
+/// Formats `report.csv`, one line per number, from comparisons and their references.
 ///
 /// Columns: setting, simulated, variant, kind (`variant`, `external`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
 /// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
 /// seeds; empty for one seed, and for baselines that are equal for all), n (seeds), reference, low and high (ends of the
 /// interval of a difference).
-pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
+pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a Reference<'a>)>) -> String {
     let mut names = HEADER.split(' ');
     // One name per word of the header.
     let mut lines = Lines::<13>::new(std::array::from_fn(|_| names.next().unwrap_or_default()));
@@ -379,10 +376,10 @@ pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'
                 }
             }
         }
-        let Some(reference) = comparison.row(reference) else { continue };
-        for row in comparison.rows.iter().filter(|row| row.label != reference.label) {
-            for metric in comparison.metrics.iter().filter(|m| m.is_per_sample()) {
-                let Some(difference) = row.difference_from(reference, metric, &comparison.blocks) else { continue };
+        let metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
+        for RowDifferences { row, reference, by_metric } in reference.differences(comparison, &metrics) {
+            for (metric, difference) in metrics.iter().zip(&by_metric) {
+                let Some(difference) = difference else { continue };
                 let ends = difference.interval.map_or_else(Default::default, |(a, b)| [a.to_string(), b.to_string()]);
                 let (value, n) = (difference.mean.to_string(), difference.seeds.to_string());
                 put(row, metric, ["difference", &value, "", &n, reference.label, &ends[0], &ends[1]]);

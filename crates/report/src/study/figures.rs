@@ -3,6 +3,7 @@
 //! A variant has the same colour, marker and dashes in all figures, and a method in the figures of N; each of the three
 //! distinguishes lines, also in greyscale. A figure has no heading: its title and caption are next to it.
 
+pub(super) mod differences;
 mod errors;
 mod gaussians;
 mod latency;
@@ -116,9 +117,10 @@ type FromScores = fn(&Setting) -> Option<Figure>;
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
 /// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
-/// at most six curves; `chosen` names their variants or methods, the best if empty. `progress` counts figures.
-pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>) -> FigureSet {
-    let ShownVariants { all, methods, curves, panels, spread } = &ShownVariants::of(setting, chosen);
+/// at most six curves: `chosen` names their variants or methods; if empty, they are of the best methods and of the variants
+/// `references`. `progress` counts figures.
+pub fn draw_figures(setting: &Setting, chosen: &[String], references: &[&str], progress: Progress<'_>) -> FigureSet {
+    let ShownVariants { all, methods, curves, panels, spread } = &ShownVariants::of(setting, chosen, references);
     let from_scores: [(&Selection, FromScores); 9] = [
         (spread.as_ref().unwrap_or(curves), gaussians::figure),
         (methods, tradeoff::first_metric_figure),

@@ -175,8 +175,13 @@ fn format_tables(page: &StudyPage) -> String {
         _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
             _ = write!(out, "\n{}\n{}", table.title, align_columns(&text_lines(table), 1));
-            let legend = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
-            _ = writeln!(out, "{legend}");
+            if table.name == "differences" {
+                // The first sentences of the legend explain the method.
+                let caveats = table.legend.iter().skip(2).map(|sentence| format!("; {sentence}"));
+                _ = writeln!(out, "[95 % interval], * excludes 0{}", caveats.collect::<String>());
+            } else {
+                _ = writeln!(out, "* best, + second best");
+            }
         }
         out.push('\n');
         let warnings = section.warnings.iter().map(|w| format!("warning: {w}\n"));

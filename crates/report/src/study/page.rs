@@ -1,8 +1,9 @@
 //! `StudyPage`: content of the report, independent of the format.
 
-use super::comparison::{Comparison, ComparisonRow, RowKind, report_csv};
+use super::comparison::{Comparison, RowKind, report_csv};
 use super::figures::shown::check_variants;
 use super::figures::{self, Figure, FigureSet};
+use super::reference::Reference;
 use super::tables::{self, Table};
 use crate::templates::render_sentences;
 use minijinja::{Value, context};
@@ -15,7 +16,9 @@ use std::path::PathBuf;
 /// Choices for a report.
 #[derive(Clone, Debug, Default)]
 pub struct ReportOptions {
-    /// Label of the variant or baseline from which paired differences are taken; `None`: the first variant of each setting.
+    /// Reference of paired differences: the label of a variant or baseline, or a value on an axis of a sweep, such as `Mine` for
+    /// `pruner Mine, target_count 60`: each variant is then compared with the one that differs only on this axis. `None`: the
+    /// first variant of each setting.
     pub reference: Option<String>,
     /// Columns of the LaTeX table of scores, keys of `report.csv`, with `.median` or `.tail10` for a statistic other than
     /// the mean; empty: those of the page.
@@ -44,8 +47,6 @@ pub(super) struct Section {
     pub(super) title: String,
     /// Sentence with the numbers of variants, runs, baselines and samples.
     pub(super) lead: String,
-    /// Label of the reference of differences.
-    pub(super) reference: String,
     /// Remarks to read before the tables.
     pub(super) warnings: Vec<String>,
     #[serde(skip)]
@@ -65,23 +66,26 @@ impl StudyPage {
     /// an unknown name in `options`, or too many variants.
     pub(super) fn new(study: &Study, options: &ReportOptions, observer: &mut dyn Observer) -> Result<Self> {
         let comparisons: Vec<Comparison<'_>> = study.settings.iter().map(Comparison::new).collect();
-        let reference = options.reference.as_deref();
-        if let Some(label) = reference {
-            check_reference(&comparisons, label)?;
+        let named: Vec<Option<Reference<'_>>> =
+            comparisons.iter().map(|c| Reference::find(c, options.reference.as_deref()?)).collect();
+        if let Some(label) = options.reference.as_deref().filter(|_| named.iter().all(Option::is_none)) {
+            return Err(unknown_reference(&comparisons, label));
         }
         check_variants(&study.settings, &options.variants)?;
         check_columns(&comparisons, &options.columns)?;
         let mut sections = Vec::new();
-        for (i, comparison) in comparisons.iter().enumerate() {
+        let mut references = Vec::new();
+        for (i, (comparison, named)) in comparisons.iter().zip(named).enumerate() {
+            let reference = named.unwrap_or_else(|| Reference::first(comparison));
             let drawn = run_stage(observer, "drawing the figures", |p| {
-                figures::draw_figures(comparison.setting, &options.variants, p)
+                figures::draw_figures(comparison.setting, &options.variants, &reference.labels(), p)
             });
-            sections.push(Section::new(i, comparison, options, drawn));
+            sections.push(Section::new(i, comparison, options, &reference, drawn));
+            references.push(reference);
         }
         let unfinished = describe_left_out(&study.unfinished, "not finished");
         let repeated = describe_left_out(&study.repeated, "repeated; named before");
-        let references = sections.iter().map(|section| section.reference.as_str());
-        let csv = report_csv(comparisons.iter().zip(references));
+        let csv = report_csv(comparisons.iter().zip(&references));
         Ok(Self {
             title: study.title.clone(),
             sections,
@@ -98,17 +102,14 @@ fn describe_left_out(folders: &[PathBuf], reason: &str) -> Option<String> {
     Some(format!("{}{more}: {reason}", first.display()))
 }
 
-/// Rejects the `label` of a reference that no setting has.
-fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
-    if comparisons.iter().any(|c| c.row(label).is_some()) {
-        return Ok(());
-    }
+/// Returns the error for the `label` of a reference that no setting has.
+fn unknown_reference(comparisons: &[Comparison<'_>], label: &str) -> Error {
     let mut labels: Vec<&str> = comparisons.iter().flat_map(|c| &c.rows).map(|row| row.label).collect();
     labels.sort_unstable();
     labels.dedup();
     let hint = did_you_mean(label, labels.iter().copied());
     let labels = labels.join("`, `");
-    Err(Error::Config(format!("--reference: no variant or baseline `{label}`{hint} (found `{labels}`)")))
+    Error::Config(format!("--reference: no variant or baseline `{label}`{hint} (found `{labels}`)"))
 }
 
 /// Rejects names of columns that no setting has.
@@ -125,21 +126,32 @@ fn check_columns(comparisons: &[Comparison<'_>], columns: &[String]) -> Result<(
 
 impl Section {
     /// Creates the section of a setting, number `index` from 0, with its tables and the figures `drawn`.
-    fn new(index: usize, comparison: &Comparison<'_>, options: &ReportOptions, drawn: FigureSet) -> Self {
-        let (setting, reference) = (comparison.setting, options.reference.as_deref());
-        let named = reference.and_then(|label| comparison.row(label));
-        let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
+    fn new<'a>(
+        index: usize,
+        comparison: &'a Comparison<'a>,
+        options: &ReportOptions,
+        reference: &Reference<'a>,
+        drawn: FigureSet,
+    ) -> Self {
+        let setting = comparison.setting;
         let runs: Vec<&Record> = setting.runs().collect();
-        let mut lead = lead_sentences(comparison, reference, compared);
+        let absent = options.reference.as_deref().filter(|label| *label != reference.label);
+        let mut lead = lead_sentences(comparison, absent, reference.label);
         let mut warnings = lead.split_off(1);
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.missing_score_warnings());
         warnings.extend(comparison.ambiguous_baseline_warnings());
         warnings.extend(drawn.left_out);
+        let metrics = tables::compared_metrics(comparison);
+        let differences = reference.differences(comparison, &metrics);
+        let axis = metrics.first().map_or_else(String::new, |metric| tables::axis_name(metric));
+        let mut figures: Vec<Figure> =
+            figures::differences::figure(setting, &axis, reference.label, &differences).into_iter().collect();
+        figures.extend(drawn.figures);
         let tables = [
             tables::rank_table(setting),
             tables::score_table(comparison),
-            tables::difference_table(comparison, compared),
+            tables::difference_table(comparison, reference, &metrics, &differences),
             tables::further_table(comparison),
             tables::latency_table(comparison),
         ];
@@ -147,19 +159,19 @@ impl Section {
             name: (index + 1).to_string(),
             title: setting.title.clone(),
             lead: lead.concat(),
-            reference: compared.label.to_owned(),
             warnings,
             tables: tables.into_iter().flatten().collect(),
             chosen: tables::chosen_table(comparison, &options.columns),
-            figures: drawn.figures,
+            figures,
             runs: run_lines(setting),
             notes: comparison.notes(),
         }
     }
 }
 
-/// Returns sentences about the data, runs and machines of a setting; all but the first are warnings.
-fn lead_sentences(comparison: &Comparison<'_>, reference: Option<&str>, compared: &ComparisonRow<'_>) -> Vec<String> {
+/// Returns sentences about the data, runs and machines of a setting, and the `reference` in place of an `absent` one; all but the
+/// first are warnings.
+fn lead_sentences(comparison: &Comparison<'_>, absent: Option<&str>, reference: &str) -> Vec<String> {
     let setting = comparison.setting;
     let runs: Vec<&Record> = setting.runs().collect();
     // Smallest and largest numbers of training, validation and test samples.
@@ -180,8 +192,8 @@ fn lead_sentences(comparison: &Comparison<'_>, reference: Option<&str>, compared
             machines => distinct(setting.runs().map(describe_machine)),
             programs => distinct(setting.runs().map(describe_program)),
             precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
-            absent => reference.filter(|label| comparison.row(label).is_none()),
-            reference => compared.label,
+            absent,
+            reference,
             twins => comparison.twin_groups(),
         },
     )

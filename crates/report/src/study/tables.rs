@@ -2,7 +2,9 @@
 
 mod scores;
 
-pub(super) use scores::{chosen_table, difference_table, further_table, latency_table, score_table};
+pub(super) use scores::{
+    axis_name, chosen_table, compared_metrics, difference_table, further_table, latency_table, score_table,
+};
 
 use super::comparison::{ComparisonRow, RowKind};
 use crate::templates::render_sentences;

@@ -48,10 +48,10 @@ impl Selection {
 }
 
 impl ShownVariants {
-    /// Selects variants of the `chosen` labels and methods; of all without them.
-    pub(super) fn of(setting: &Setting, chosen: &[String]) -> Self {
+    /// Selects variants of the `chosen` labels and methods; without them, of the best methods and those of `references`.
+    pub(super) fn of(setting: &Setting, chosen: &[String], references: &[&str]) -> Self {
         let all = if chosen.is_empty() { setting.clone() } else { keep(setting, &chosen_variants(setting, chosen)) };
-        let methods = keep(&all, &best_methods(&all));
+        let methods = keep(&all, &best_methods(&all, references));
         let variants: Vec<&StudyVariant> = methods.variants.iter().collect();
         let curves = match one_variant_per_method(&methods) {
             _ if variants.len() <= CURVES => keep(&methods, &variants),
@@ -60,8 +60,10 @@ impl ShownVariants {
         let families = VariantFamily::group(&methods);
         let panels = if chosen.is_empty() && families.len() > 1 && variants.len() > families.len() {
             let mut panels = Selection::with_short_labels(keep(&methods, &best_variants(&methods)));
-            panels.remarks +=
-                &format!(" Of each method, the variant with the best {} is shown.", methods.headline().short);
+            let short = methods.headline().short;
+            panels.remarks += " Of each method, the variant with the best ";
+            panels.remarks += short;
+            panels.remarks += " is shown.";
             panels
         } else {
             Selection::with_short_labels(curves.clone())
@@ -158,12 +160,16 @@ fn is_name(name: &str, family: &VariantFamily<'_>, variant: &StudyVariant) -> bo
 }
 
 /// Returns the variants of at most [`CURVES`] methods, those whose best variant is best by the first metric.
-fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
+/// Methods of `references` come first.
+fn best_methods<'a>(setting: &'a Setting, references: &[&str]) -> Vec<&'a StudyVariant> {
     let best = |family: &VariantFamily<'_>| {
         family.variants.iter().map(|variant| cost(setting, variant)).fold(f64::INFINITY, f64::min)
     };
     let mut families = VariantFamily::group(setting);
     families.sort_by(|a, b| best(a).total_cmp(&best(b)));
+    let has_reference =
+        |family: &VariantFamily<'_>| family.variants.iter().any(|v| references.contains(&v.label.as_str()));
+    families.sort_by_key(|family| !has_reference(family));
     families.into_iter().take(CURVES).flat_map(|family| family.variants).collect()
 }
 

@@ -1,8 +1,9 @@
 use super::super::comparison::Comparison;
+use super::super::reference::Reference;
 use super::panels::spectra_columns;
 use super::shown::one_variant_per_method;
 use super::tradeoff::method_lines;
-use super::{Figure, FigureSet, draw_figures, gaussians};
+use super::{Figure, FigureSet, differences, draw_figures, gaussians};
 use crate::canvas::outside;
 use crate::draw::charts::LineName;
 use crate::page;
@@ -75,7 +76,7 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
             let at_ends = named(|name| if let LineName::AtEnd(name) = name { Some(name) } else { None });
             assert_eq!(at_ends, ["8", "12", "8", "12"], "variants by their numbers");
         }
-        let drawn = draw_figures(&study.settings[0], &[], &|_, _| {});
+        let drawn = draw_figures(&study.settings[0], &[], &[], &|_, _| {});
         assert_eq!(drawn.left_out, None);
         let (written, texts) = outside::take();
         assert!(written == drawn.figures.len() && texts.is_empty(), "{count} variants: {texts:#?}");
@@ -87,13 +88,39 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
         assert_eq!(room(&drawn).caption.contains(is_best), count == 6, "{}", room(&drawn).caption);
         let mut svg_of = |simulated: bool, chosen: &[String]| {
             study.settings[0].simulated = simulated;
-            room(&draw_figures(&study.settings[0], chosen, &|_, _| {})).svg
+            room(&draw_figures(&study.settings[0], chosen, &[], &|_, _| {})).svg
         };
         assert_ne!(svg_of(true, &[]), svg_of(false, &[]), "a mark on simulated data");
         if count == 6 {
             assert_ne!(svg_of(false, &["Grid".into(), "mask".into()]), svg_of(false, &[]), "all chosen variants");
         }
     }
+}
+
+#[test]
+fn reference_is_one_row_or_one_per_setting_of_the_other_axes() {
+    let folder = tempfile::tempdir().unwrap();
+    let counts = [6, 7, 8, 9];
+    let runs: Vec<PathBuf> = counts.map(|n| trained(folder.path(), &format!("Grid {n}"), n)).into();
+    let mut study = Study::read(&runs).unwrap();
+    let labels = ["pruner A, N 6", "pruner B, N 6", "pruner A, N 8", "pruner B, N 8"];
+    study.settings[0].variants.iter_mut().zip(labels).for_each(|(variant, label)| variant.label = label.into());
+    let comparison = Comparison::new(&study.settings[0]);
+    let ssim = comparison.metric("ssim").unwrap();
+    let pairs = |label| -> Vec<[&str; 2]> {
+        let reference = Reference::find(&comparison, label).unwrap();
+        reference.differences(&comparison, &[ssim]).iter().map(|d| [d.row.label, d.reference.label]).collect()
+    };
+    assert_eq!(pairs("A"), [[labels[1], labels[0]], [labels[3], labels[2]]], "baselines have no N");
+    assert_eq!(pairs("pruner B"), [[labels[0], labels[1]], [labels[2], labels[3]]]);
+    let others = [labels[0], labels[1], labels[3], "mean spectrum", "1-NN"];
+    assert_eq!(pairs(labels[2]), others.map(|label| [label, labels[2]]));
+    assert!(Reference::find(&comparison, "C").is_none());
+    let metrics = [ssim];
+    let differences = Reference::find(&comparison, "A").unwrap().differences(&comparison, &metrics);
+    let figure = differences::figure(&study.settings[0], "SSIM", "A", &differences).unwrap();
+    assert!(figure.caption.contains("minus A at equal other settings"), "{}", figure.caption);
+    assert!(outside::take().1.is_empty());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::shown::{CURVES, grey_baselines};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
-use pwrfgs_core::Headline;
+use pwrfgs_core::{Headline, statistics::bounds};
 use pwrfgs_experiment::paired::is_rate_ratio;
 use pwrfgs_experiment::{
     CEILING, ParetoComparison, Record, Setting, StudyVariant, VariantFamily, scores::MODEL, statistics::Spread,
@@ -64,7 +64,9 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
         return None; // too many variants for marks with names: the figures of methods have one line per method
     }
     let mut lines = method_lines(setting, score.key);
-    if lines.is_empty() {
+    let counts = bounds(lines.iter().flat_map(|line| &line.points).map(|point| point.0));
+    // With several lines at one N, marks would hide each other.
+    if lines.is_empty() || lines.len() > 1 && counts.0 == counts.1 {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();

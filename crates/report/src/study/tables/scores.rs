@@ -4,6 +4,7 @@ use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, table_title
 use crate::study::comparison::{
     Comparison, ComparisonRow, RowKind, SHARE, SummaryStatistic, TRAINED_ON, TRAINING, is_time, statistics,
 };
+use crate::study::reference::{Reference, RowDifferences};
 use crate::templates::render_sentences;
 use minijinja::context;
 use pwrfgs_core::statistics::sorted;
@@ -239,17 +240,36 @@ fn build_table(
     Some(table)
 }
 
-/// Returns the table of differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if
-/// it selects none. `None` without differences.
-pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference: &ComparisonRow<'_>) -> Option<Table> {
-    let shown = |m: &&MetricRow| m.is_per_sample() && is_compared(&m.key, comparison.setting.task());
-    let mut metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(shown).collect();
-    if metrics.is_empty() {
-        metrics = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
+/// Returns the metrics of the table of differences: those that [`is_compared`] selects, or all per sample if it selects none.
+pub(in super::super) fn compared_metrics<'a>(comparison: &'a Comparison<'_>) -> Vec<&'a MetricRow> {
+    let per_sample = || comparison.metrics.iter().filter(|m| m.is_per_sample());
+    let selected: Vec<_> = per_sample().filter(|m| is_compared(&m.key, comparison.setting.task())).collect();
+    if selected.is_empty() { per_sample().collect() } else { selected }
+}
+
+/// Returns the name of a metric on an axis, with its unit.
+pub(in super::super) fn axis_name(metric: &MetricRow) -> String {
+    match name_and_unit(metric) {
+        (name, unit) if unit.is_empty() => name,
+        (name, unit) => format!("{name} [{unit}]"),
     }
-    let (lines, seeds): (Vec<TableLine>, Vec<usize>) =
-        difference_lines(comparison, reference, &metrics).into_iter().unzip();
-    let (least, most) = (seeds.iter().copied().min()?, seeds.iter().copied().max()?);
+}
+
+/// Returns the table of `differences` by these `metrics` from the reference; `None` without any.
+pub(in super::super) fn difference_table(
+    comparison: &Comparison<'_>,
+    reference: &Reference<'_>,
+    metrics: &[&MetricRow],
+    differences: &[RowDifferences<'_>],
+) -> Option<Table> {
+    let seeds = || differences.iter().filter_map(|d| d.by_metric.iter().flatten().map(|d| d.seeds).max());
+    let (least, most) = (seeds().min()?, seeds().max()?);
+    let line = |d: &RowDifferences<'_>| {
+        let cell = |d: &Option<Difference>| d.as_ref().map_or_else(FormattedValue::default, difference_cell);
+        TableLine::new(d.row, d.by_metric.iter().map(cell).collect())
+    };
+    let has_many = reference.rows.len() > 1;
+    let equal = if has_many { ", at equal other settings" } else { "" };
     let column = |m: &&MetricRow| {
         let (title, unit) = name_and_unit(m);
         let detail = if unit.is_empty() { String::new() } else { format!("[{unit}]") };
@@ -257,14 +277,15 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     };
     let mut table = Table {
         name: "differences",
-        title: table_title(&format!("Paired differences from {}", reference.label), comparison.setting),
+        title: table_title(&format!("Paired differences from {}{equal}", reference.label), comparison.setting),
         columns: metrics.iter().map(column).collect(),
-        lines,
+        lines: differences.iter().map(line).collect(),
         legend: Vec::new(),
     };
     let words = context! {
         name => table.name,
         reference => reference.label,
+        has_many,
         observations => comparison.setting.task().counted[1],
         least,
         most,
@@ -277,24 +298,6 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     };
     table.legend = render_sentences("legend.txt", words);
     Some(table)
-}
-
-/// Returns the lines of differences from `reference` by these metrics, each with its largest number of seeds; rows without any
-/// difference are omitted.
-fn difference_lines(
-    comparison: &Comparison<'_>,
-    reference: &ComparisonRow<'_>,
-    metrics: &[&MetricRow],
-) -> Vec<(TableLine, usize)> {
-    let line = |row: &ComparisonRow<'_>| {
-        let differences: Vec<Option<Difference>> =
-            metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
-        let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
-        let cells =
-            differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, difference_cell)).collect();
-        Some((TableLine::new(row, cells), seeds))
-    };
-    comparison.rows.iter().filter(|row| row.label != reference.label).filter_map(line).collect()
 }
 
 /// Formats a paired difference with its interval, marked if that excludes 0.
