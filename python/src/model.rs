@@ -27,6 +27,9 @@ self_cell!(
     }
 );
 
+/// Function that restores a model, and its arguments.
+type Pickle<'py> = (Bound<'py, PyAny>, (Bound<'py, PyBytes>, bool));
+
 /// Trained model: predicts the observation for a transmitter at any position. Load one with `pwrfgs.load(path)`.
 ///
 /// Several models of one scene predict as an ensemble: the mean of their predictions. Prediction is thread-safe.
@@ -129,7 +132,7 @@ impl Model {
         Ok(Self { compressed: is_compressed.then(|| bytes.to_vec()), ..Self::new(ensemble) })
     }
 
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>, bool))> {
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Pickle<'py>> {
         let bytes = match &self.compressed {
             Some(bytes) => PyBytes::new(py, bytes),
             None => PyBytes::new(py, &without_gil(py, || Ok(file::ensemble_to_bytes(&self.ensemble)))?),

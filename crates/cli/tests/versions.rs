@@ -49,7 +49,7 @@ fn thin(tensors: &mut Tensors) {
     let rows = values.chunks_exact(48).step_by(4);
     let stored: Vec<Real> = rows.flat_map(|row| row.iter().step_by(4).copied()).collect();
     let unit = stored.iter().fold(0.0, |most: Real, v| most.max(v.abs())) / 127.0;
-    tensors.put_short("residuals.values", vec![links, 36], stored.iter().map(|v| (v / unit).round() as i8).collect());
+    tensors.put_i8("residuals.values", vec![links, 36], stored.iter().map(|v| (v / unit).round() as i8).collect());
     tensors.put("residuals.units", vec![links], vec![unit; links]);
     tensors.note = tensors.note.replace(r#""stride":1"#, r#""stride":4"#);
 }

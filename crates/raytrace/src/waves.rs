@@ -89,7 +89,7 @@ impl Ray {
     }
 
     /// Returns the ray after diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′`
-    /// in the ray-fixed axes of Kouyoumjian and Pathak (1974), where `d` has D_s as `te` and D_h as `tm`.
+    /// in the ray-fixed axes of Kouyoumjian and Pathak (1974), where `d` has `D_s` as `te` and `D_h` as `tm`.
     pub(crate) fn diffracted(&self, edge: DVec3, out: DVec3, d: &Polarized) -> Self {
         let phi_in = unit_cross(-edge, self.direction);
         let phi_out = unit_cross(edge, out);
