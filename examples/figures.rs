@@ -11,7 +11,7 @@ fn main() -> pwrfgs::core::Result<()> {
     let study = Study::read(&folders.collect::<Vec<_>>())?;
     for (k, setting) in study.settings.iter().enumerate() {
         let folder = out.join(format!("setting-{}", k + 1));
-        let drawn = figures::draw_figures(setting, &[], &|_, _| {});
+        let drawn = figures::draw_figures(setting, &[], &[], &|_, _| {});
         for figure in drawn.figures {
             figure.write(&folder)?;
             println!("{}/{}: {}", folder.display(), figure.name, figure.caption);

@@ -38,7 +38,7 @@ fn figures_are_self_contained() {
     sweep(folder.path());
     let study = Study::read(&[folder.path().into()]).unwrap();
     assert_eq!((study.settings.len(), study.settings[0].variants.len()), (1, 2));
-    let figures = figures::draw_figures(&study.settings[0], &[], &|_, _| {}).figures;
+    let figures = figures::draw_figures(&study.settings[0], &[], &[], &|_, _| {}).figures;
     let names: Vec<&str> = figures.iter().map(|f| f.name.as_str()).collect();
     assert_eq!(names, ["gaussians", "ssim-n", "eta-n", "latency", "distance", "room", "spectra", "eta-snr"]);
     for figure in &figures {
@@ -91,7 +91,7 @@ fn published_numbers_belong_to_s23(mut study: Study) {
         let setting = &mut study.settings[0];
         setting.simulated = simulated;
         setting.variants.iter_mut().flat_map(|v| &mut v.runs).for_each(|run| run.facts.data = name.into());
-        let drawn = figures::draw_figures(setting, &[], &|_, _| {});
+        let drawn = figures::draw_figures(setting, &[], &[], &|_, _| {});
         assert!(drawn.left_out.unwrap().ends_with("the data have changed since this run; run it again."));
         drawn.figures.iter().find(|f| f.name == "ssim-n").unwrap().caption.contains("stars")
     };
