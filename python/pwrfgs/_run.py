@@ -268,14 +268,16 @@ def run(
         chosen = Pipeline(path)
     else:
         chosen = Pipeline(pipeline)
-    if set:
-        chosen._set_arguments(arguments(set))
+    plain_settings = arguments(set)
+    added = {}
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
-            there, named = chosen.get(field), [_named(field, item) for item in more]
+            own, named = _field_after(chosen, plain_settings, field), [_named(field, item) for item in more]
             if field == "pruners":
-                _refuse_twice(there, named)
-            chosen.set({field: [*there, *named]})
+                _refuse_twice(own, named)
+            added[field] = [*own, *named]
+    # Together: `training.target_count` needs a pruner with `score`.
+    chosen._set_arguments([*plain_settings, *arguments(added)])
     for field, one in (("initializer", initializer), ("split", split)):
         if one is not None:
             chosen.set({field: _named(field, one)})
@@ -308,6 +310,16 @@ def evaluate(
     with storing(folder) as store, contextlib.closing(bar):
         _pwrfgs.score(model, chosen._settled(store)._inner, folder, event_listener(bar, callback))
     return Run(folder)
+
+
+def _field_after(pipeline: Pipeline, settings: List[str], field: str) -> List[Any]:
+    """Plugins of a field of a pipeline after these settings."""
+    lists = [value for name, value in (one.split("=", 1) for one in settings) if name == field]
+    if lists:
+        return list(from_ron(lists[-1]))
+    changed = Pipeline(pipeline)
+    changed._set_arguments([one for one in settings if one.startswith(f"{field}.")])
+    return list(changed.get(field))
 
 
 def _named(field: str, strategy: Any) -> Any:

@@ -486,6 +486,8 @@ def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_pat
     runs = pwrfgs.sweep(pipeline, axes=axes, out=tmp_path / "s", name="s", seeds=[0, 1])
     assert [len(run.model.gaussians().means) for run in runs] == [20, 20, 10, 10]
     assert "pruner mine" in pwrfgs.report(tmp_path / "s", reference="mine")
+    alone = {"pruners": [], "training.target_count": 20}
+    assert pwrfgs.run(pipeline, set=alone, pruners=[Brightest()], out=tmp_path / "alone", progress=False).model.n == 20
 
 
 def test_messages_name_the_class_of_a_pruner(pipeline, tmp_path, caplog):
