@@ -294,7 +294,9 @@ pub(crate) fn plan<'py>(
     Ok(dict)
 }
 
-/// Selects receivers, see `pwrfgs.place`: `source` are data with received powers, their folder, or a scene file or its name.
+/// Selects receivers, see `pwrfgs.place`: `source` are data with received powers, their folder, or a scene file or its name. Returns
+/// `text`, the table, and `choices`: name, names of the R receivers, positions [R, 3] in metres, coverage in dBm; without choices
+/// that were not computed.
 #[pyfunction]
 pub(crate) fn place<'py>(py: Python<'py>, source: &Bound<'py, PyAny>, text: &str) -> PyResult<Bound<'py, PyDict>> {
     let data = source.cast::<Dataset>().ok().map(|data| std::sync::Arc::clone(&data.get().data));

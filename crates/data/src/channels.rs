@@ -138,7 +138,8 @@ impl DataSource for Channels {
         Some(pwrfgs_core::Task::Channel)
     }
 
-    /// Loads all carriers as one array: rows of further carriers follow those of the first.
+    /// Loads all carriers. Rows of further carriers follow those of the first up to [`Dataset::with_carriers`], which sorts the
+    /// links by position and carrier.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = existing_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
@@ -153,7 +154,7 @@ impl DataSource for Channels {
         }
         let metadata = ChannelMetadata::read(self, &root, locations.moving)?;
         let frequencies_hz = metadata.subcarrier_frequencies(&path, width)?;
-        let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
+        let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64; // the middle of the band
         let receiver = metadata.create_receiver(&path, antennas, self.receiver.is_none())?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, &locations.name, count))?;
         let carriers = files.len();

@@ -19,11 +19,11 @@ type LinkScores = BTreeMap<usize, HeldOutScores>;
 
 impl ActiveRun<'_, '_> {
     /// Fits the residual process that the pipeline selects to a model trained on the training set, and calibrates its
-    /// intervals on the validation set.
+    /// intervals on the validation set. Keeps the process or the calibration that the model has.
     ///
     /// # Errors
-    /// Data that residuals do not support, a prediction that is not finite, a spectrum that cannot be read, or
-    /// [`Error::Stopped`].
+    /// Data that residuals do not support, `folds` with one member, a model that left out a test sample, a prediction that is
+    /// not finite, a spectrum that cannot be read, or [`Error::Stopped`].
     pub fn calibrate_model(&mut self, model: Ensemble) -> Result<Ensemble> {
         check_residuals(self.pipeline, self.split, false)?;
         let fitted = self.fit_residuals(model, 1)?;

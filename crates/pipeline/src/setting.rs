@@ -173,7 +173,8 @@ fn inner_kind(kind: &DocKind) -> &DocKind {
     if let DocKind::Optional(inner) = kind { inner_kind(inner) } else { kind }
 }
 
-/// Returns the type of element `step` of a list or tuple; of other types, the type itself without `Option`.
+/// Returns the type of element `step` of a list or tuple; the type of a tuple without this element, and other types without
+/// `Option`.
 fn item_kind(kind: &DocKind, step: &str) -> DocKind {
     match inner_kind(kind) {
         DocKind::List(inner) => (**inner).clone(),

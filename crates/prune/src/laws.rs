@@ -52,8 +52,9 @@ fn returns_mask_and_score_per_gaussian() {
     }
 }
 
+/// These decide by the cloud alone; the others by a target, by statistics of training or by chance.
 #[test]
-fn initial_cloud_is_kept() {
+fn initial_cloud_is_kept_by_masks_and_thresholds() {
     for name in ["LearnableMask", "OpacityThreshold", "TopK"] {
         let pruner = plugin(&format!("{name}()"));
         for n in [0, 1, 7] {

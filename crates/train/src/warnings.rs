@@ -33,7 +33,8 @@ impl Trainer<'_> {
     }
 
     /// Returns a warning about more Gaussians than trained pixels: no loss determines the pixels between fixed rows and
-    /// columns. `None` if there are enough pixels, or if rows and columns move.
+    /// columns. `None` if there are enough pixels, if all are trained or take turns, and for methods without blending, in which
+    /// each Gaussian changes all pixels.
     fn skipped_pixels_warning(&self) -> Option<String> {
         let (training, traits) = (&self.plan.training, self.stages.method.traits());
         let pixels = |plane: &ImagePlane| plane.width * plane.height;

@@ -110,7 +110,7 @@ impl WorldBuilder {
         PROBES.into_iter().filter_map(face_at).nth(COVERED_PROBES - 1)
     }
 
-    /// Returns the pieces of the rim of a face that are neither inside earlier faces of its sheet nor continued by others;
+    /// Returns the pieces of the rim of a face that neither are inside earlier faces of its sheet nor border on its other faces;
     /// `others` are the triangles of the sheet near it.
     fn outer_rims(&self, edge: &Edge, others: &[Triangle]) -> Vec<Edge> {
         let face = edge.faces[0];
@@ -128,7 +128,8 @@ impl WorldBuilder {
                 break;
             }
         }
-        // At acute corners, a probe beside the edge misses its last millimetres.
+        // At a corner of angle a, probes at the distance BEYOND beside the edge miss its last BEYOND / tan(a): such remnants are no
+        // rims. The factor 4 covers angles from 14 degrees.
         pieces.retain(|piece| piece.ends == edge.ends || piece.ends[0].distance(piece.ends[1]) > 4.0 * BEYOND);
         pieces
     }

@@ -146,7 +146,7 @@ impl DataSurvey {
     }
 
     /// Returns the batch size: the number of training transmitters, at most `most`, and at least 1. With more than 1, a
-    /// step has at most 2,720 links.
+    /// step has on average at most [`LINKS`] links.
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
         transmitters.min(LINKS / self.links_per_transmitter()).clamp(1, most)
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn step_has_at_most_about_2_500_links() {
+    fn step_has_about_2_720_links_at_most() {
         let batch = |receivers: usize, most: usize| {
             let sample = |k: usize| Sample {
                 receiver: k % receivers,
