@@ -146,7 +146,7 @@ impl DataSurvey {
     }
 
     /// Returns the batch size: the number of training transmitters, at most `most`, and at least 1. With more than 1, a
-    /// step has on average at most [`LINKS`] links.
+    /// step has on average at most 2,720 links (`LINKS`).
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
         transmitters.min(LINKS / self.links_per_transmitter()).clamp(1, most)
