@@ -19,7 +19,8 @@ PLY   binary layout of 3D Gaussian splatting: x y z (metres from `origin`), nx n
       (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x y z). The colour shows the
       pixel value of a Gaussian if it were opaque and alone, from dark violet (0) to yellow (1):
       f_dc = (rgb - 0.5) / 0.28209479177387814
-NPZ   all tensors, receiver pose and image plane (docs/model-format.md)
+NPZ   Gaussians, network, receivers and image plane, without residuals and intervals
+      (docs/model-format.md)
 --tx  Without it, the PLY file has the base parameters before the network's changes (mid-grey if the
       network sets the signal); with it, both files have the values for that transmitter.
 The PLY file of an ensemble has the Gaussians of all members, with a property `member` (0, 1, ..).
@@ -37,7 +38,7 @@ pub(crate) struct Export {
     /// Write the Gaussians as PLY for splat viewers
     #[arg(long, value_name = "FILE")]
     pub(crate) ply: Option<PathBuf>,
-    /// Write all arrays of the model for numpy.load
+    /// Write Gaussians, network and receivers for numpy.load
     #[arg(long, value_name = "FILE")]
     pub(crate) npz: Option<PathBuf>,
     /// Write the model with a 16-bit network, about half the size
