@@ -30,7 +30,7 @@ pub struct SurveyMap {
 }
 
 impl SurveyMap {
-    /// Draws the map. Colours of selected positions run from dark (first) to light (last); the first [`NUMBERED`] have numbers.
+    /// Draws the map. Colours of selected positions run from dark (first) to light (last); the first `NUMBERED` have numbers.
     pub fn draw(&self) -> Canvas {
         let framed = [&self.candidates, &self.known, &self.selected].into_iter().flatten().copied();
         let plan = FloorPlan::around(framed);
