@@ -47,6 +47,18 @@ fn program_ships_every_pipeline_experiment_and_scene() {
     }
 }
 
+/// `report` and `predict` open runs of the Python package, whose pruners this program does not have.
+#[test]
+fn target_of_an_unavailable_pruner_is_not_checked() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/quickstart.ron");
+    let with = |pruners: &str| {
+        let set = [format!("pruners={pruners}"), "training.target_count=50".into()];
+        pwrfgs::experiment::read_pipeline(&file, &set).map(drop).map_err(|e| e.to_string())
+    };
+    assert_eq!(with("[Python(module: \"mine\", class: \"Brightest\")]"), Ok(()));
+    assert!(with("[]").unwrap_err().contains("no pruner supports a target"));
+}
+
 #[test]
 fn every_pipeline_round_trips_through_ron() {
     for path in files("pipelines") {

@@ -476,7 +476,7 @@ class Brightest(pwrfgs.Pruner):
         return cloud.opacities
 
 
-def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_path):
+def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_path, cli):
     with pytest.raises(pwrfgs.InputError, match="`Brightest` needs training.target_count"):
         pwrfgs.run(pipeline, set={"pruners": [Brightest()]}, out=tmp_path / "r", progress=False)
     axes = {"pruner": {
@@ -487,7 +487,9 @@ def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_pat
     assert [len(run.model.gaussians().means) for run in runs] == [20, 20, 10, 10]
     assert "pruner mine" in pwrfgs.report(tmp_path / "s", reference="mine")
     alone = {"pruners": [], "training.target_count": 20}
-    assert pwrfgs.run(pipeline, set=alone, pruners=[Brightest()], out=tmp_path / "alone", progress=False).model.n == 20
+    run = pwrfgs.run(pipeline, set=alone, pruners=[Brightest()], out=tmp_path / "alone", progress=False)
+    assert run.model.n == 20
+    subprocess.run([cli, "report", run.folder, "--out", tmp_path / "report"], check=True)
 
 
 def test_messages_name_the_class_of_a_pruner(pipeline, tmp_path, caplog):

@@ -144,8 +144,12 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     Ok(())
 }
 
-/// Returns why the target cannot be reached, or why a pruner that requires one has none; `None` if all is well.
+/// Returns why the target cannot be reached, or why a pruner that requires one has none; `None` if all is well, and if a pruner is
+/// unavailable: its traits are unknown, and training rejects it.
 fn target_misfit(training: &TrainingNumbers, pruners: &[Plugin<dyn Pruner>]) -> Option<Misfit> {
+    if pruners.iter().any(|pruner| pruner.traits().unavailable.is_some()) {
+        return None;
+    }
     let target = training.target;
     let goal = PruneTarget::of(pruners, target);
     if target > 0 && goal.is_none() {
