@@ -177,8 +177,8 @@ fn format_tables(page: &StudyPage) -> String {
             _ = write!(out, "\n{}\n{}", table.title, align_columns(&text_lines(table), 1));
             if table.name == "differences" {
                 // The first sentences of the legend explain the method.
-                let caveats = table.legend.iter().skip(2).map(|sentence| format!("; {sentence}"));
-                _ = writeln!(out, "[95 % interval], * excludes 0{}", caveats.collect::<String>());
+                let caveats = table.legend.get(2..).unwrap_or_default().join(" ");
+                _ = writeln!(out, "[95 % interval], * excludes 0. {caveats}");
             } else {
                 _ = writeln!(out, "* best, + second best");
             }
