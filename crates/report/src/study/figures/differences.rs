@@ -12,7 +12,7 @@ use pwrfgs_experiment::{Setting, statistics::Difference};
 const ROWS: usize = 40;
 /// Distance of rows, and maximum width of their names.
 const ROW: f64 = 18.0;
-const NAMES: f64 = 190.0;
+const NAMES: f64 = 230.0;
 
 /// Draws the differences by the first metric of `differences`, whose `axis` has its name and unit; `None` without any, and for too
 /// many rows.
@@ -26,10 +26,12 @@ pub(in super::super) fn figure(
         differences.iter().filter_map(|d| Some((d.row.label, d.by_metric.first()?.as_ref()?))).collect();
     let has_many = differences.iter().any(|d| d.reference.label != differences[0].reference.label);
     let words = context! { axis, label, has_many };
-    (1..=ROWS).contains(&rows.len()).then(|| Figure::new("differences", setting, words, draw_rows(&rows, axis)))
+    (1..=ROWS)
+        .contains(&rows.len())
+        .then(|| Figure::new("differences", setting, words, draw_rows(&rows, &format!("Δ {axis} from {label}"))))
 }
 
-/// Draws the rows over an axis that includes 0.
+/// Draws the rows over an axis that includes 0, with its name.
 fn draw_rows(rows: &[(&str, &Difference)], axis: &str) -> Canvas {
     let ends = |d: &Difference| d.interval.map_or([d.mean; 2], |(low, high)| [low, high]);
     let (low, high) = bounds(rows.iter().flat_map(|(_, d)| ends(d)).chain([0.0]).filter(|v| v.is_finite()));
@@ -41,7 +43,8 @@ fn draw_rows(rows: &[(&str, &Difference)], axis: &str) -> Canvas {
     let (row, top) = (ROW + LINE * (lines as f64 - 1.0), 6.0);
     let width = PAGE.min(left + COLUMN) - left - 10.0;
     let bottom = top + row * rows.len() as f64;
-    let mut canvas = Canvas::new(left + width + 10.0, bottom + 36.0);
+    let axis = wrap_text(axis, left + width);
+    let mut canvas = Canvas::new(left + width + 10.0, bottom + 22.0 + LINE * axis.len() as f64);
     let x = |value: f64| left + width * (value - low) / (high - low);
     let thin = Paint::stroke(INK, 0.9);
     canvas.line(&[[x(0.0), top], [x(0.0), bottom]], thin);
@@ -62,6 +65,7 @@ fn draw_rows(rows: &[(&str, &Difference)], axis: &str) -> Canvas {
         let inside = if difference.is_clear() { BLACK } else { WHITE };
         canvas.circle([x(difference.mean), y], 3.2, Paint::fill(inside).outlined(BLACK, 1.2));
     }
-    canvas.text([left + width / 2.0, bottom + 32.0], Anchor::Middle, format!("Δ {axis}"));
+    let middle = f64::midpoint(0.0, left + width);
+    canvas.lines([middle, bottom + 22.0 + LINE * axis.len() as f64 / 2.0], Anchor::Middle, &axis);
     canvas
 }
