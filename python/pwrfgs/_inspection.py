@@ -27,7 +27,7 @@ class Inspection(Result):
     splits : S splits; that of the pipeline ends in " *"
     train : number of training samples [S]
     test : number of test samples [S]
-    nearest_m : median distance [S] of test transmitters to the nearest training transmitter, metres
+    nearest_m : median distance [S] of test transmitters to the nearest training transmitter, metres; NaN without positions
     scores : mean score [S, B] of each baseline on up to 300 test samples; NaN if the metric does not apply
     ceiling : noise ceiling [S], the best score to expect from a predictor; NaN if it cannot be estimated
     refused : splits that the data do not support, with the reasons

@@ -149,7 +149,7 @@ impl DataSource for Channels {
         let [count, antennas, width] = files[0].shape;
         if count != locations.poses.len() {
             let (table, rows) = (&locations.name, locations.poses.len());
-            let problem = format!("holds channels of {count} transmitters, but {table} {rows}");
+            let problem = format!("holds channels of {count} positions, but {table} {rows}");
             return Err(Error::input(&path, format!("{problem}; give as many of each")));
         }
         let metadata = ChannelMetadata::read(self, &root, locations.moving)?;

@@ -153,7 +153,7 @@ fn rejects_mismatched_files() {
     let three = folder([3, 1, 1]);
     let message = source(three.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
     assert!(
-        message.contains("holds channels of 3 transmitters") && message.contains("p.csv 2; give as many of each"),
+        message.contains("holds channels of 3 positions") && message.contains("p.csv 2; give as many of each"),
         "{message}"
     );
     for wrong in [

@@ -171,7 +171,7 @@ fn read_links(path: &Path, names: &[String], codes: &[f64], (file, count): (&str
         received.extend(links);
         if row < count && powers.iter().all(Option::is_none) {
             let advice = format!("remove the row here and in {file}, and number the index files anew");
-            return Err(Error::at(path, *line, 1, format!("no gateway received this transmitter; {advice}")));
+            return Err(Error::at(path, *line, 1, format!("no power was received at this position; {advice}")));
         }
     }
     if table.len() != count {

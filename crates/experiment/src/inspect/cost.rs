@@ -24,6 +24,10 @@ impl Preview {
         let (training, n) = (&self.pipeline.training, |count: usize| grouped(count as i64));
         let [train, validation, test] = self.samples.map(n);
         let free = self.free_bytes.map_or_else(String::new, |free| format!(", {} available", format_gigabytes(free)));
+        let test_distance = match self.test_distance {
+            distance if distance.is_nan() => "unknown: the data have no positions".to_owned(),
+            distance => format!("{} to the nearest training transmitter (median)", format_length(distance)),
+        };
         let gaussians = match self.time.start.gaussians {
             0 => "none".to_owned(),
             count => format!("{} initially", n(count)),
@@ -31,10 +35,7 @@ impl Preview {
         let mut rows = vec![
             ("data", format!("{}: {}", self.title, self.observed)),
             ("samples", format!("{train} training, {validation} validation, {test} test")),
-            (
-                "test distance",
-                format!("{} to the nearest training transmitter (median)", format_length(self.test_distance)),
-            ),
+            ("test distance", test_distance),
             ("Gaussians", gaussians),
             ("network", format!("{} weights", n(self.weights))),
             ("pruners", join_or_none(&self.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),

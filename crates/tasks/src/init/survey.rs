@@ -192,7 +192,7 @@ impl DataSurvey {
     /// Lists the notes for the head of the pipeline file: data, split, frequencies and start of the Gaussians.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.describe())];
-        let has_positions = self.data.placed && self.data.features.is_none();
+        let has_positions = self.data.placed;
         let near = if has_positions {
             format!("the median distance from test to training transmitters is {:.3} m", self.nearest)
         } else {

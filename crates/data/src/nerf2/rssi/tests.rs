@@ -117,9 +117,9 @@ fn reports_position_of_invalid_input() {
         (
             "gateway_rssi.csv",
             "a,b\n-60,-61\n-100,-100.0\n-1,-1\n",
-            "DIR/gateway_rssi.csv:3:1: no gateway received this transmitter; remove the row",
+            "DIR/gateway_rssi.csv:3:1: no power was received at this position; remove the row",
         ),
-        ("gateway_rssi.csv", "a,b\n-100,\nNaN,-100\n,\n", "DIR/gateway_rssi.csv:2:1: no gateway received this"),
+        ("gateway_rssi.csv", "a,b\n-100,\nNaN,-100\n,\n", "DIR/gateway_rssi.csv:2:1: no power was received at this"),
         ("gateway_rssi.csv", "a,b\n-60,-61\n", "DIR/gateway_rssi.csv: holds 1 rows of powers, but tx_pos.csv 3"),
         ("tx_pos.csv", "x,y,z\n1,2,3\n1,2,inf\n", "DIR/tx_pos.csv:3:5: `inf` is not finite"),
         (
