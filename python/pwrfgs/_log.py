@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import logging
+import sys
+import warnings
 from typing import Any, Dict
 
 log = logging.getLogger("pwrfgs")
 # Level of training steps: below DEBUG a run of 30,000 steps would fill the log of every other library.
 STEPS = logging.DEBUG
+
+
+def warn(text: str) -> None:
+    """Warn at the first line outside this package that led here."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] == "pwrfgs":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, UserWarning, stacklevel=level)
 
 
 def event(about: Dict[str, Any]) -> None:

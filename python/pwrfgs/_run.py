@@ -19,7 +19,7 @@ from ._log import event as log_event
 from ._pipeline import Pipeline, is_text
 from ._types import Array
 from ._unsaved import storing
-from ._values import KINDS, arguments, from_ron, plugin_text, to_ron
+from ._values import KINDS, Value, arguments, from_ron, plugin_text, to_ron
 
 PathLike = Union[str, "os.PathLike[str]"]
 Event = Dict[str, Any]
@@ -268,16 +268,17 @@ def run(
         chosen = Pipeline(path)
     else:
         chosen = Pipeline(pipeline)
-    plain_settings = arguments(set)
+    settings = arguments(set)
     added = {}
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
-            own, named = _field_after(chosen, plain_settings, field), [_named(field, item) for item in more]
+            own, named = _field_after(chosen, settings, field), [_named(field, item) for item in more]
             if field == "pruners":
                 _refuse_twice(own, named)
             added[field] = [*own, *named]
-    # Together: `training.target_count` needs a pruner with `score`.
-    chosen._set_arguments([*plain_settings, *arguments(added)])
+    # Together: `training.target_count` needs a pruner with `score`. Settings of single plugins follow the lists.
+    inner = [one for one in settings if one.split(".")[0] in added]
+    chosen._set_arguments([*(one for one in settings if one not in inner), *arguments(added), *inner])
     for field, one in (("initializer", initializer), ("split", split)):
         if one is not None:
             chosen.set({field: _named(field, one)})
@@ -313,13 +314,14 @@ def evaluate(
 
 
 def _field_after(pipeline: Pipeline, settings: List[str], field: str) -> List[Any]:
-    """Plugins of a field of a pipeline after these settings."""
+    """Plugins of a field of a pipeline after these settings, without settings of single plugins."""
     lists = [value for name, value in (one.split("=", 1) for one in settings) if name == field]
-    if lists:
-        return list(from_ron(lists[-1]))
-    changed = Pipeline(pipeline)
-    changed._set_arguments([one for one in settings if one.startswith(f"{field}.")])
-    return list(changed.get(field))
+    if not lists:
+        return list(pipeline.get(field))
+    own = from_ron(lists[-1])
+    if not isinstance(own, list) or not all(isinstance(one, Value) for one in own):
+        Pipeline(pipeline)._set_arguments(settings)  # raises
+    return list(own)
 
 
 def _named(field: str, strategy: Any) -> Any:

@@ -11,7 +11,6 @@ import json
 import math
 import os
 import re
-import warnings
 import zipfile
 from typing import Any, Dict, List, Literal, Mapping, Optional, Sequence, Tuple, Union
 
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from . import _pwrfgs
 from ._errors import InputError
+from ._log import warn
 from ._mat import read_matrix
 from ._run import Progress
 from ._spectrum import SPEED_OF_LIGHT, spectrum
@@ -204,7 +204,7 @@ def _lacks_delay(found: Mapping[str, Any], carrier: float) -> bool:
             f"{'lack' if lacks else 'contain'} it; the direct paths decide; correct raytracer_name in params.json"
         )
     if words:
-        warnings.warn(words, UserWarning, stacklevel=3)
+        warn(words)
     return lacks if is_shown else bool(stated)
 
 
@@ -351,7 +351,7 @@ def _dataset(
         raise InputError("no transmitter has a path to the receiver; check the scene and the positions")
     if not received.all():
         words = f"{(~received).sum()} of {len(tx)} transmitters have no path and are left out"
-        warnings.warn(words, UserWarning, stacklevel=3)
+        warn(words)
     tx, h = tx[received], h[:, received]
     common: Dict[str, Any] = {"title": title, "simulated": True}
     if observe == "power":

@@ -8,7 +8,6 @@ use pwrfgs::experiment::{collect_findings, reject_findings};
 use pwrfgs_core::{
     Channels, Dataset, Elevation, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra,
 };
-use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
@@ -84,9 +83,8 @@ pub(super) fn receiver_object<'py>(
 /// Warns about valid but implausible data. If `accepted` is given, findings that make results meaningless are errors unless it
 /// names them.
 pub(super) fn warn_findings(py: Python<'_>, data: &Dataset, accepted: Option<&[String]>) -> PyResult<()> {
-    let warnings = py.import("warnings")?;
-    // Level 1 names the line of Python that made the call: functions in Rust have no level.
-    let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 1)).map(drop);
+    let log = py.import("pwrfgs._log")?;
+    let warn = |text| log.call_method1("warn", (text,)).map(drop);
     let findings = without_gil(py, || {
         let findings = collect_findings(data, None)?;
         accepted.map_or(Ok(()), |accepted| reject_findings(&findings, accepted)).map(|()| findings)
