@@ -26,6 +26,8 @@ pub struct Setting {
 pub struct StudyVariant {
     /// Label that distinguishes it in its setting, such as `lambda 0.02`.
     pub label: String,
+    /// Axes of its sweep, each with the value of the variant.
+    pub axes: Vec<(String, String)>,
     /// One run per seed, in ascending order of seeds.
     pub runs: Vec<Record>,
 }
@@ -235,9 +237,9 @@ fn group_by_variant(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
         }
     }
     let names = variant_names(&variants.iter().map(|(_, labels, _)| labels).collect::<Vec<_>>());
-    let variant = |((_, _, mut runs), label): ((String, Labels, Vec<Record>), String)| {
+    let variant = |((_, axes, mut runs), label): ((String, Labels, Vec<Record>), String)| {
         runs.sort_by_key(|r| r.facts.seed);
-        StudyVariant { label, runs }
+        StudyVariant { label, axes, runs }
     };
     Ok(variants.into_iter().zip(names).map(variant).collect())
 }

@@ -64,8 +64,7 @@ impl OutputLayout {
             Self::Channels | Self::Csi | Self::DeepMimo => matches!(recipe.observe, ObservationKind::Channel { .. }),
         };
         if !fits {
-            let problem = "does not match the observation type; choose another layout";
-            return Err(Error::Config(format!("{self:?} {problem}")));
+            return Err(Error::Config("the layout does not match the observation type; choose another layout".into()));
         }
         let images = recipe.samples * recipe.scene.carrier_count();
         if self == Self::Images && images > MOST_IMAGES {

@@ -48,6 +48,8 @@ impl RowKind {
 #[derive(Clone, Debug)]
 pub(super) struct ComparisonRow<'a> {
     pub(super) label: &'a str,
+    /// Axes with the values of a variant.
+    pub(super) axes: &'a [(String, String)],
     pub(super) kind: RowKind,
     /// First variant with bit-identical models.
     pub(super) twin: Option<&'a str>,
@@ -180,6 +182,7 @@ impl<'a> Comparison<'a> {
             let twin = setting.earlier_twin(k).map(|first| first.label.as_str());
             ComparisonRow {
                 label: &v.label,
+                axes: &v.axes,
                 kind: RowKind::Variant,
                 twin,
                 predictor: MODEL,
@@ -306,7 +309,14 @@ fn baseline_rows(setting: &Setting) -> Vec<ComparisonRow<'_>> {
                     let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
                     let ranked = if oracle { RowKind::Oracle } else { RowKind::Baseline };
                     let kind = if setting.is_external(name) { RowKind::External } else { ranked };
-                    rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
+                    rows.push(ComparisonRow {
+                        label: name,
+                        axes: &[],
+                        kind,
+                        twin: None,
+                        predictor: name,
+                        runs: vec![run],
+                    });
                 }
             }
         }
@@ -323,7 +333,7 @@ fn ceiling_row(setting: &Setting) -> Option<ComparisonRow<'_>> {
             runs.push(run);
         }
     }
-    let row = ComparisonRow { label: CEILING, kind: RowKind::Ceiling, twin: None, predictor: CEILING, runs };
+    let row = ComparisonRow { label: CEILING, axes: &[], kind: RowKind::Ceiling, twin: None, predictor: CEILING, runs };
     (!row.runs.is_empty()).then_some(row)
 }
 

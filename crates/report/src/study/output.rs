@@ -179,7 +179,7 @@ fn format_tables(page: &StudyPage) -> String {
                 // The first sentences of the legend explain the method.
                 let caveats = table.legend.get(2..).unwrap_or_default().join(" ");
                 _ = writeln!(out, "[95 % interval], * excludes 0. {caveats}");
-            } else {
+            } else if table.is_marked() {
                 _ = writeln!(out, "* best, + second best");
             }
         }

@@ -146,7 +146,7 @@ impl Section {
         let differences = reference.differences(comparison, &metrics);
         let axis = metrics.first().map_or_else(String::new, |metric| tables::axis_name(metric));
         let mut figures: Vec<Figure> =
-            figures::differences::figure(setting, &axis, reference.label, &differences).into_iter().collect();
+            figures::differences::figure(setting, &axis, reference, &differences).into_iter().collect();
         figures.extend(drawn.figures);
         let tables = [
             tables::rank_table(setting),

@@ -4,11 +4,13 @@ use super::comparison::{Comparison, ComparisonRow, RowKind};
 use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::Difference;
 
-/// Rows that are subtracted from the others: one for all, or one per combination of the other axes of a sweep.
+/// Rows that are subtracted from the others.
 #[derive(Clone, Debug)]
 pub(super) struct Reference<'a> {
     pub(super) label: &'a str,
-    pub(super) rows: Vec<&'a ComparisonRow<'a>>,
+    /// Whether each variant has its own row: the one that differs only on the axis of the label. Otherwise, there is one row for all.
+    pub(super) is_by_axis: bool,
+    rows: Vec<&'a ComparisonRow<'a>>,
 }
 
 /// Differences of one row.
@@ -20,18 +22,24 @@ pub(super) struct RowDifferences<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// Returns the rows that `label` names: the row of this label, or else the variants with this value on an axis, such as
-    /// `Mine` for `pruner Mine, target_count 60`. `None` without one.
+    /// Returns the reference that `label` names: the row of this label, with or without its first axis, or else the variants with
+    /// this value on an axis, such as `Mine` for `pruner Mine, target_count 60`. `None` without one.
     pub(super) fn find(comparison: &'a Comparison<'a>, label: &'a str) -> Option<Self> {
-        let exact: Vec<_> = comparison.rows.iter().filter(|row| row.label == label).collect();
-        let with_value = || comparison.rows.iter().filter(|row| axis_of(row, label).is_some()).collect();
-        let rows = if exact.is_empty() { with_value() } else { exact };
-        (!rows.is_empty()).then_some(Self { label, rows })
+        let rows = &comparison.rows;
+        let without_axis = |row: &&ComparisonRow<'_>| {
+            row.kind == RowKind::Variant && row.label.split_once([' ', '=']).is_some_and(|(_, end)| end == label)
+        };
+        if let Some(row) = rows.iter().find(|row| row.label == label).or_else(|| rows.iter().find(without_axis)) {
+            return Some(Self { label, is_by_axis: false, rows: vec![row] });
+        }
+        let rows: Vec<_> = rows.iter().filter(|row| axis_of(row, label).is_some()).collect();
+        (!rows.is_empty()).then_some(Self { label, is_by_axis: true, rows })
     }
 
     /// Returns the first variant as the reference of all rows.
     pub(super) fn first(comparison: &'a Comparison<'a>) -> Self {
-        Self { label: comparison.rows[0].label, rows: vec![&comparison.rows[0]] }
+        let row = &comparison.rows[0];
+        Self { label: row.label, is_by_axis: false, rows: vec![row] }
     }
 
     /// Returns the labels of the rows.
@@ -39,17 +47,14 @@ impl<'a> Reference<'a> {
         self.rows.iter().map(|row| row.label).collect()
     }
 
-    /// Returns the row to subtract from `row`: of several, the variant that differs from `row` only on the axis of the label.
-    /// `None` for a reference itself, and without such a variant.
+    /// Returns the row to subtract from `row`. `None` for such a row itself and, by axis, without a matching one.
     fn row_for(&self, row: &ComparisonRow<'_>) -> Option<&'a ComparisonRow<'a>> {
         let is_matching = |reference: &ComparisonRow<'_>| {
-            axis_of(reference, self.label).is_some_and(|axis| other_parts(reference, axis) == other_parts(row, axis))
+            axis_of(reference, self.label).is_some_and(|axis| other_axes(reference, axis) == other_axes(row, axis))
         };
-        match &self.rows[..] {
-            rows if rows.iter().any(|reference| reference.label == row.label) => None,
-            [reference] => Some(reference),
-            rows => rows.iter().copied().find(|reference| row.kind == RowKind::Variant && is_matching(reference)),
-        }
+        let is_reference = self.rows.iter().any(|reference| reference.label == row.label && reference.kind == row.kind);
+        let mut rows = self.rows.iter().copied().filter(|_| !is_reference);
+        rows.find(|reference| !self.is_by_axis || row.kind == RowKind::Variant && is_matching(reference))
     }
 
     /// Returns the differences of all rows by these metrics; omits rows without any.
@@ -68,19 +73,13 @@ impl<'a> Reference<'a> {
     }
 }
 
-/// Splits a part of a label between commas into axis and value; a part without a value is its own axis.
-fn axis_and_value(part: &str) -> (&str, &str) {
-    part.split_once([' ', '=']).unwrap_or((part, part))
-}
-
-/// Returns the axis on which a variant has this value, with or without the name of the axis; `None` without one.
+/// Returns the axis on which a row has this value, with or without the name of the axis; `None` without one.
 fn axis_of<'a>(row: &ComparisonRow<'a>, value: &str) -> Option<&'a str> {
-    let mut parts = row.label.split(", ").filter(|_| row.kind == RowKind::Variant);
-    let part = parts.find(|part| *part == value || axis_and_value(part).1 == value)?;
-    Some(axis_and_value(part).0)
+    let is_value = |(axis, own): &&(String, String)| own == value || format!("{axis} {own}") == value;
+    row.axes.iter().find(is_value).map(|(axis, _)| axis.as_str())
 }
 
-/// Returns the parts of a label on the other axes.
-fn other_parts<'a>(row: &ComparisonRow<'a>, axis: &str) -> Vec<&'a str> {
-    row.label.split(", ").filter(|part| axis_and_value(part).0 != axis).collect()
+/// Returns the values of a row on the other axes.
+fn other_axes<'a>(row: &ComparisonRow<'a>, axis: &str) -> Vec<&'a (String, String)> {
+    row.axes.iter().filter(|(name, _)| name != axis).collect()
 }

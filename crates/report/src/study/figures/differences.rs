@@ -3,7 +3,7 @@
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, BLACK, Canvas, INK, LINE, Paint, WHITE, text_width, wrap_text};
 use crate::draw::axes::ticks;
-use crate::study::reference::RowDifferences;
+use crate::study::reference::{Reference, RowDifferences};
 use minijinja::context;
 use pwrfgs_core::statistics::bounds;
 use pwrfgs_experiment::{Setting, statistics::Difference};
@@ -19,13 +19,13 @@ const NAMES: f64 = 230.0;
 pub(in super::super) fn figure(
     setting: &Setting,
     axis: &str,
-    label: &str,
+    reference: &Reference<'_>,
     differences: &[RowDifferences<'_>],
 ) -> Option<Figure> {
     let rows: Vec<(&str, &Difference)> =
         differences.iter().filter_map(|d| Some((d.row.label, d.by_metric.first()?.as_ref()?))).collect();
-    let has_many = differences.iter().any(|d| d.reference.label != differences[0].reference.label);
-    let words = context! { axis, label, has_many };
+    let label = reference.label;
+    let words = context! { axis, label, is_by_axis => reference.is_by_axis };
     (1..=ROWS)
         .contains(&rows.len())
         .then(|| Figure::new("differences", setting, words, draw_rows(&rows, &format!("Δ {axis} from {label}"))))
@@ -35,7 +35,7 @@ pub(in super::super) fn figure(
 fn draw_rows(rows: &[(&str, &Difference)], axis: &str) -> Canvas {
     let ends = |d: &Difference| d.interval.map_or([d.mean; 2], |(low, high)| [low, high]);
     let (low, high) = bounds(rows.iter().flat_map(|(_, d)| ends(d)).chain([0.0]).filter(|v| v.is_finite()));
-    let margin = 0.04 * (high - low).max(1e-9);
+    let margin = if low < high { 0.04 * (high - low) } else { 0.01 };
     let (low, high) = (low - margin, high + margin);
     let names: Vec<Vec<String>> = rows.iter().map(|(name, _)| wrap_text(name, NAMES)).collect();
     let left = 12.0 + names.iter().flatten().map(|line| text_width(line)).fold(0.0, f64::max);

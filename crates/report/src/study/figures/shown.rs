@@ -240,7 +240,7 @@ mod tests {
 
     /// Returns a setting of variants with these labels, without runs.
     fn setting(labels: &[&str]) -> Setting {
-        let variant = |label: &&str| StudyVariant { label: (*label).into(), runs: Vec::new() };
+        let variant = |label: &&str| StudyVariant { label: (*label).into(), axes: Vec::new(), runs: Vec::new() };
         Setting { title: "t".into(), simulated: false, variants: labels.iter().map(variant).collect() }
     }
 

@@ -105,7 +105,11 @@ fn reference_is_one_row_or_one_per_setting_of_the_other_axes() {
     let runs: Vec<PathBuf> = counts.map(|n| trained(folder.path(), &format!("Grid {n}"), n)).into();
     let mut study = Study::read(&runs).unwrap();
     let labels = ["pruner A, N 6", "pruner B, N 6", "pruner A, N 8", "pruner B, N 8"];
-    study.settings[0].variants.iter_mut().zip(labels).for_each(|(variant, label)| variant.label = label.into());
+    for (variant, label) in study.settings[0].variants.iter_mut().zip(labels) {
+        let axes = label.split(", ").map(|part| part.split_once(' ').unwrap());
+        variant.axes = axes.map(|(axis, value)| (axis.to_owned(), value.to_owned())).collect();
+        variant.label = label.into();
+    }
     let comparison = Comparison::new(&study.settings[0]);
     let ssim = comparison.metric("ssim").unwrap();
     let pairs = |label| -> Vec<[&str; 2]> {
@@ -116,10 +120,12 @@ fn reference_is_one_row_or_one_per_setting_of_the_other_axes() {
     assert_eq!(pairs("pruner B"), [[labels[0], labels[1]], [labels[2], labels[3]]]);
     let others = [labels[0], labels[1], labels[3], "mean spectrum", "1-NN"];
     assert_eq!(pairs(labels[2]), others.map(|label| [label, labels[2]]));
+    assert_eq!(pairs("A, N 8"), pairs(labels[2]), "without its first axis");
     assert!(Reference::find(&comparison, "C").is_none());
-    let metrics = [ssim];
-    let differences = Reference::find(&comparison, "A").unwrap().differences(&comparison, &metrics);
-    let figure = differences::figure(&study.settings[0], "SSIM", "A", &differences).unwrap();
+    let reference = Reference::find(&comparison, "A").unwrap();
+    let figure =
+        differences::figure(&study.settings[0], "SSIM", &reference, &reference.differences(&comparison, &[ssim]));
+    let figure = figure.unwrap();
     assert!(figure.caption.contains("minus A at equal other settings"), "{}", figure.caption);
     assert!(outside::take().1.is_empty());
 }

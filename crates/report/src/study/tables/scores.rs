@@ -268,8 +268,7 @@ pub(in super::super) fn difference_table(
         let cell = |d: &Option<Difference>| d.as_ref().map_or_else(FormattedValue::default, difference_cell);
         TableLine::new(d.row, d.by_metric.iter().map(cell).collect())
     };
-    let has_many = reference.rows.len() > 1;
-    let equal = if has_many { ", at equal other settings" } else { "" };
+    let equal = if reference.is_by_axis { ", at equal other settings" } else { "" };
     let column = |m: &&MetricRow| {
         let (title, unit) = name_and_unit(m);
         let detail = if unit.is_empty() { String::new() } else { format!("[{unit}]") };
@@ -285,7 +284,7 @@ pub(in super::super) fn difference_table(
     let words = context! {
         name => table.name,
         reference => reference.label,
-        has_many,
+        is_by_axis => reference.is_by_axis,
         observations => comparison.setting.task().counted[1],
         least,
         most,
