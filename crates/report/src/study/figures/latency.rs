@@ -21,6 +21,8 @@ const TOTAL: &str = "latency_total_ms";
 const ROW: f64 = 21.0;
 const FURTHER: f64 = 12.0;
 const BAR: f64 = 13.0;
+/// Minimum width of a box; the file rounds smaller ones to 0.
+const LEAST: f64 = 0.005;
 /// Maximum width of the names of variants.
 const NAMES: f64 = 130.0;
 
@@ -91,7 +93,8 @@ fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
         draw_box(&mut drawing, [0.0, 2.0], [13.0, 10.0], SHADES[k]);
         Symbol { drawing, meaning: (*name).to_owned() }
     };
-    let legend = Legend::new(STAGES.iter().enumerate().map(key).collect(), COLUMN);
+    let is_drawn = |(k, _): &(usize, _)| bars.iter().any(|bar| width * bar.stages[*k] / longest >= LEAST);
+    let legend = Legend::new(STAGES.iter().enumerate().filter(is_drawn).map(key).collect(), COLUMN);
     let mut canvas = Canvas::new(COLUMN, bottom + 36.0 + legend.height());
     let thin = Paint::stroke(INK, 0.9);
     let x = |ms: f64| left + width * ms / longest;
@@ -120,9 +123,9 @@ fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
     canvas
 }
 
-/// Draws a box with a thin dark border; nothing if its width would be 0 in the file.
+/// Draws a box with a thin dark border; nothing below the width [`LEAST`].
 fn draw_box(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
-    if size[0] >= 0.005 {
+    if size[0] >= LEAST {
         canvas.rect(at, size, Paint::fill(Colour::hex(shade)).outlined(INK, 0.6));
     }
 }
