@@ -72,7 +72,7 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Compare finished runs in tables and figures (HTML, CSV, LaTeX)
     Report(report::Report),
-    /// Add new measurements to a model with a residual process, without training
+    /// Add new measurements to a model with Kriged residuals (`residuals: Kriged()`), without training
     Update(update::Update),
     /// Write a smaller model file, with 8 or 16 bits per number
     Compress(compress::Compress),

@@ -28,13 +28,13 @@ use std::process::ExitCode;
     about = "Predict spatial spectra, received powers or channels with pruned 3D Gaussians (P-WRFGS)",
     after_help = "\
 EXAMPLES
-  pwrfgs run quickstart                                 # about a minute, no download
+  pwrfgs run quickstart                                 # about a minute on two cores
   pwrfgs run quickstart --scale 0.25 --set seed=1 --out runs/short
   pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --out predicted
   pwrfgs plugins                                        # names that a pipeline can use
 
 EXIT CODES
-  0 done, 1 failed, 2 invalid input, 130 interrupted (repeat the command to resume)"
+  0 done, 1 failed, 2 invalid input, 130 interrupted (repeat the command)"
 )]
 struct Arguments {
     #[command(subcommand)]
@@ -42,7 +42,7 @@ struct Arguments {
     /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
-    /// Device for rendering and for the networks of `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
+    /// Device for rendering and for the networks `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
     /// [default: environment variable `PWRFGS_DEVICE`, or cpu]
     #[arg(long, global = true, value_name = "DEVICE")]
     device: Option<DeviceChoice>,

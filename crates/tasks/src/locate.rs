@@ -33,10 +33,10 @@ const CHUNK: usize = 64;
 #[derive(Clone, Debug, Default, Args, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LocateSettings {
-    /// Only positions in this box, metres or degrees
+    /// Search only in this box of x and y in metres, or of latitude and longitude in degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
     pub prior: Option<String>,
-    /// Omit the baseline with fingerprints predicted by Kriging, the slowest for many positions
+    /// Omit the baseline with fingerprints predicted by Kriging, which is slow for many training positions
     #[arg(long)]
     pub no_kriging: bool,
 }

@@ -39,7 +39,7 @@ pub struct MapSettings {
     #[arg(long, value_name = "M")]
     #[serde(default)]
     pub step: Option<f64>,
-    /// Extent in metres of the two free coordinates, or in degrees
+    /// Extent of the two free coordinates in metres, or of latitude and longitude in degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
     #[serde(default)]
     pub bounds: Option<String>,

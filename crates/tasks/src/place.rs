@@ -39,11 +39,11 @@ pub struct PlaceSettings {
     #[arg(long, value_name = "M", allow_negative_numbers = true)]
     #[serde(default)]
     pub mount: Option<f64>,
-    /// Scenes: omit the grid of receivers, which takes most of the time
+    /// Scenes: omit the comparison with receivers on a grid, which takes most of the time
     #[arg(long)]
     #[serde(default)]
     pub no_grid: bool,
-    /// Random seed of the search in scenes, of random choices and of random splits
+    /// Random seed of the search in scenes, of the random selections for comparison, and of a random split of data
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     #[serde(default)]
     pub seed: u64,

@@ -43,15 +43,16 @@ pub struct PlanSettings {
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
     #[serde(default)]
     pub region: Option<String>,
-    /// Learn the length scale from the selected measurements of the data folder
+    /// Replay a survey on the data folder: estimate the length scale of the Gaussian process only from measurements
+    /// selected so far
     #[arg(long, requires = "source", conflicts_with_all = ["candidates", "floor", "length_scale"])]
     #[serde(default)]
     pub simulate: bool,
-    /// Fixed length scale in metres, instead of an estimate
+    /// Fixed length scale of the Gaussian process in metres, instead of an estimate
     #[arg(long, value_name = "M")]
     #[serde(default)]
     pub length_scale: Option<f64>,
-    /// Random seed of the random choice
+    /// Random seed of the random selection that the plan is compared with
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     #[serde(default)]
     pub seed: u64,

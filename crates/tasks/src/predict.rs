@@ -35,7 +35,7 @@ pub struct PredictSettings {
     /// Predict only for this receiver (name in the data set); repeatable
     #[arg(long, value_name = "NAME")]
     pub receiver: Vec<String>,
-    /// Write all spectra or channels as one array, which may exceed memory
+    /// Write all spectra or all channels as one array, which may be larger than memory
     #[arg(long)]
     pub stacked: bool,
     /// Write no PNG images

@@ -17,11 +17,11 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command loads the data, creates the split and the initial Gaussians, and times a few training
-steps. It writes no files. It reports the errors that `pwrfgs run` would report, and warns of
-settings without effect. The estimated time covers training and, with MatchingPursuit, its search
-for sources. Steps are timed with the initial number of Gaussians and with the number expected after
-pruning. Densification increases memory and time above the estimate. If --device selects a GPU, the
-steps are timed on that GPU.
+steps. It writes no files. It reports the errors that `pwrfgs run` would report before its first
+training step, and warns of settings without effect. The estimated time covers training and, with
+the initializer MatchingPursuit, its search for sources. Steps are timed with the initial number of
+Gaussians and with the number expected after pruning. Gaussians that training adds (densification)
+increase memory and time above the estimate. If --device selects a GPU, steps are timed on that GPU.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
@@ -46,10 +46,13 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The command prints the ranges of positions and values; for spectra, also unusual ones and a check of
-the recorded orientation. For each split, it prints the distance from test to training transmitters,
-the scores of the baselines and the noise ceiling. A pipeline sets data, split, baselines, metrics
-and seed; for a data folder, the split of `pwrfgs init` and the defaults apply.
+The command prints the ranges of positions and values. For spectra, it also lists constant and equal
+ones, and compares the recorded receiver orientation with the strongest directions. For each kind of
+split, it prints the median distance from test transmitters to the nearest training transmitter, the
+mean score of each baseline on up to 300 test samples, and the noise ceiling: an approximate limit
+for the mean score of every model, from samples at nearly equal positions. A pipeline sets data,
+split, baselines, metrics and seed. For a data folder, the first split is that of `pwrfgs init`, and
+the other settings have their defaults.
 
 EXAMPLES
   pwrfgs inspect pipelines/quickstart.ron

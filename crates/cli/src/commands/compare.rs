@@ -14,10 +14,12 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-All methods use the same split. Repeat the command to resume it or to add predictions; it does not
-train finished models again. To compare another program, train it on the ids that --split-csv lists
-as train and validation, and predict the test ids. Write the predictions as NNNNN.npy per id, as
-`pwrfgs predict` does, or as predictions.csv with the columns id and dbm.
+A method is a kind of model, such as P-WRFGS or NeRF2; --dry-run lists the methods for the data. All
+methods use the same split. Repeat the command to resume it or to add predictions; it does not train
+finished models again. To compare another program, train it on the ids that --split-csv lists as
+train and validation, and predict the test ids. Write spectra and channels as arrays like those of
+`pwrfgs predict`, one file NNNNN.npy per id, and received powers as predictions.csv with the columns
+id and dbm. With several receivers, the column `link` of the split replaces the id.
 
 EXAMPLES
   pwrfgs compare data/s23 --dry-run
@@ -31,7 +33,7 @@ pub(crate) struct Compare {
     pub(crate) settings: CompareSettings,
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
-    /// Output folder [default: runs/compare-NAME, from the data folder]
+    /// Output folder [default: runs/compare-NAME, with the name of the data folder]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// List all runs with estimated times; run nothing

@@ -13,18 +13,19 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-8   network weights in 8 bits with a scale per row, everything else in 16 bits
-16  everything in 16 bits
-All commands, the Python package and the pages of `view --save` read the file. The command prints
-both file sizes and the mean difference of predictions at up to 200 training positions. Residual
-processes are stored unchanged.
-The file lacks the calibration for predict --interval, which is valid only for the original model.
+8   weight matrices of networks in 8 bits with a scale per row, everything else as with 16
+16  everything in 16 bits, except Kriged residuals and constants
+Kriged residuals (`residuals: Kriged()`) and constants keep their full precision.
+All commands that read a model file, and the Python package, read the new file. The command prints
+both file sizes and the mean absolute difference of predictions at up to 200 training positions.
+The new file lacks the calibration that `predict --interval` needs, because this calibration is
+valid only for the original model.
 
 EXAMPLES
   pwrfgs compress runs/quickstart --out small.safetensors
   pwrfgs evaluate small.safetensors --pipeline runs/quickstart/pipeline.ron")]
 pub(crate) struct Compress {
-    /// Run folder, model file or model of the program, such as s23
+    /// Run folder, model file or name of a model in `pwrfgs pipelines`, such as s23
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Model file to write; must not exist

@@ -15,8 +15,9 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Without a subcommand, the command prints licence, citation, size, address and folder of public data
 sets. It downloads nothing: each entry has a command or the steps for the download.
-`pwrfgs data check` reports files that differ from the known copy or are missing. The exit code is 0
-even then, because your copy may be newer.
+`pwrfgs data check` describes a folder and compares up to three of its files with the copy behind
+the scores in docs/results.md. It lists files that differ or are missing. The exit code is 0 even
+then, because your copy may be newer.
 
 EXAMPLES
   pwrfgs data
@@ -28,7 +29,7 @@ pub(crate) struct Data {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum DataAction {
-    /// Check layout, content and digests of a data folder
+    /// Check layout, content and SHA-256 digests of a data folder
     Check {
         /// Data folder
         #[arg(value_name = "FOLDER")]

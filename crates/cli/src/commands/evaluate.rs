@@ -26,10 +26,10 @@ const LISTED: usize = 8;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Data, split, metrics and baselines are those of pipeline.ron next to the model, or of the pipeline
-of a model in the program. --set changes them.
-Prints the score table; --out also writes scores.csv, samples.csv and report.html.
-With --out, repeat a stopped command to resume it after the last scored predictor.
+Data, split, metrics and baselines are those of pipeline.ron next to the first model or, for a model
+in the program, of the pipeline that trained it. --set changes them.
+The command prints the score table. With --out, it also writes scores.csv, samples.csv and
+report.html, and a stopped command resumes after the last scored model or baseline when repeated.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
 The models need a common test set: use runs whose split does not depend on the seed.
 
@@ -40,19 +40,20 @@ EXAMPLES
   pwrfgs evaluate s23 --set data.root=data/s23
   pwrfgs evaluate runs/blocks/seed-0 runs/blocks/seed-1")]
 pub(crate) struct Evaluate {
-    /// Run folder, model file or model of the program, such as s23; several models form an ensemble
+    /// Run folder, model file or name of a model in `pwrfgs pipelines`, such as s23; several models form
+    /// an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// Pipeline file [default: pipeline of the first model]
     #[arg(long, value_name = "FILE")]
     pub(crate) pipeline: Option<PathBuf>,
-    /// Change a setting, such as data.root=data/other; repeatable
+    /// Change a setting of the pipeline, such as data.root=data/other; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
     /// Output folder for scores and report [default: write no files]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// Print all metrics with median and percentile
+    /// Print all metrics, with median and 10th percentile (90th for errors)
     #[arg(long)]
     pub(crate) all: bool,
 }

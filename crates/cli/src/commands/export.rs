@@ -15,16 +15,18 @@ type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-PLY   binary layout of 3D Gaussian splatting: x y z (metres from `origin`), nx ny nz (0), f_dc_0..2
-      (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x y z). The colour shows the
-      pixel value of a Gaussian if it were opaque and alone, from dark violet (0) to yellow (1):
-      f_dc = (rgb - 0.5) / 0.28209479177387814
+PLY   binary layout of 3D Gaussian splatting: x y z (metres from `origin` in the header, else from
+      0 0 0), nx ny nz (0), f_dc_0..2 (colour), opacity (logit), scale_0..2 (ln of metres),
+      rot_0..3 (w x y z). For spectra, the colour shows the pixel value of a Gaussian if it were
+      opaque and alone, from dark violet (0) to yellow (1): f_dc = (rgb - 0.5) / 0.28209479177387814
 NPZ   Gaussians, network, receivers and image plane, without residuals and intervals
       (docs/model-format.md)
 --tx  Without it, the PLY file has the base parameters before the network's changes (mid-grey if the
-      network sets the signal); with it, both files have the values for that transmitter.
+      network sets the signal). With it, the PLY file has the values for that transmitter, and the
+      NPZ file has them in addition.
 The PLY file of an ensemble has the Gaussians of all members, with a property `member` (0, 1, ..).
-Viewers blend all Gaussians, so select one member. The NPZ file then has arrays members.0.means, ..
+Viewers blend all Gaussians, so delete those of other members before you view one. The NPZ file of
+an ensemble has the arrays members.0.means, ..
 Existing files are never overwritten.
 
 EXAMPLES
@@ -32,7 +34,7 @@ EXAMPLES
   pwrfgs export runs/quickstart --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz")]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {
-    /// Run folder, model file or model of the program, such as s23
+    /// Run folder, model file or name of a model in `pwrfgs pipelines`, such as s23
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Write the Gaussians as PLY for splat viewers
@@ -41,7 +43,7 @@ pub(crate) struct Export {
     /// Write Gaussians, network and receivers for numpy.load
     #[arg(long, value_name = "FILE")]
     pub(crate) npz: Option<PathBuf>,
-    /// Write the model with a 16-bit network, about half the size
+    /// Write the model file with 16-bit network weights, about half the size if the network is large
     #[arg(long, value_name = "FILE")]
     pub(crate) half: Option<PathBuf>,
     /// Transmitter position of --ply and --npz in metres, world frame

@@ -14,10 +14,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
-from 0 to 1 (the strongest direction). Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
-float64, stored as float32. Training reads up to 512 MB of spectra into memory.
+from 0 to 1. Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and float64, stored as float32.
+Training reads up to 512 MB of spectra into memory; more spectra stay in their file.
 For spectra, the command writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed
-split, add train_index.txt and test_index.txt (one id per line, from 1).
+split, add train_index.txt and test_index.txt (one row of the spectra per line, from 1).
 
 EXAMPLES
   python3 -c \"from numpy import *; r = random.rand; savez('my.npz', spectra=r(9,90,360), tx=r(9,3))\"
@@ -74,7 +74,7 @@ pub(crate) struct Import {
     /// Mark the data as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
-    /// Continue despite a finding that would stop the import; repeatable
+    /// Continue despite this finding (a fault in the data that an error names), such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
     /// Print the recognised columns of a table and some converted rows; write nothing

@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command reads spectra, received powers, channels or camera images in the layouts of
-docs/data.md, with index files and a point cloud if present. The pipeline can be run without
-changes; comments explain the settings. Without index files, its split holds out whole cells
-of space or, if the positions do not allow cells, a block of time or random samples. Existing files
-are never overwritten.
+docs/data.md. The pipeline can be run without changes; its comments explain the settings. If the
+folder has index files, such as train_index.txt and test_index.txt, the pipeline uses their split.
+Otherwise, the test set is whole cells of space or, if the positions do not allow cells, a block of
+time or random samples. Existing files are never overwritten.
 
 EXAMPLES
   pwrfgs init data/s23
@@ -33,13 +33,13 @@ pub(crate) struct Init {
     /// Pipeline file [default: ./NAME.ron, from the name of the folder]
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
-    /// Training effort: fast (one model), normal (two minutes for small data sets), best (more models)
+    /// Training effort: fast (one model), normal (up to 8 models) or best (up to 16 models)
     #[arg(long, value_name = "EFFORT", default_value = "normal", value_parser = Effort::parse)]
     pub(crate) effort: Effort,
     /// Colour map of camera images, inverted to values: jet, turbo or viridis
     #[arg(long, value_name = "NAME", value_enum, ignore_case = true, hide_possible_values = true)]
     pub(crate) colormap: Option<Colormap>,
-    /// Continue despite a finding on the data, such as lone-value; repeatable
+    /// Continue despite this finding (a fault in the data that an error names), such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
 }

@@ -16,36 +16,39 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command compares an observation with one fingerprint per training position: a weighted mean of
-the measured observation and the prediction of the model. The estimate is the most probable position
-in the most probable part of the 90 % region. Up to 1,000 validation samples determine the weights,
-the size of the regions, and whether gradient descent on the model refines the estimate. To get
-regions, train with validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1).
+the measured observation and the prediction of the model. The result is a probability density over
+the floor. Its 90 % region is calibrated to contain nine of ten validation samples. The estimate is
+the most probable position in the most probable part of this region. Up to 1,000 validation samples
+determine the weights, the size of the regions, and whether an optimiser refines the estimate by the
+predictions of the model. Regions need at least 9 validation samples: train with a validation set,
+such as split=Voxel(size_m: 0.3, validation: 0.1).
 
-For a model file without pipeline.ron, or a model of the program such as s23, the fingerprints are
-the predictions at the training positions in the file, and there are no regions.
+If OBSERVATIONS are given for a model without pipeline.ron, or for a model in the program without
+--set, the fingerprints are the predictions of the model at the training positions in its file, and
+there are no regions.
 
 Without OBSERVATIONS, the command locates the test samples of the model's data. It prints the errors
-of the model and of three baselines: nearest fingerprints, fingerprints predicted by Kriging, and
-the mean of the training positions. Above 10,000 training positions, --no-kriging saves most of the
-time. With OBSERVATIONS, the command prints the estimates and, if the run has validation samples,
-the errors of estimates for these samples.
+of the model and of up to three baselines: nearest fingerprints, fingerprints predicted by Kriging,
+and the mean of the training positions. With OBSERVATIONS, the command prints the estimates and, if
+the run has validation samples, the errors of estimates for up to 200 of these samples.
 
-OBSERVATIONS
+OBSERVATIONS of B transmitters (spectra and channels only of models with one receiver)
   spectra   .png, or .npy [B, height, width]
   powers    .csv with a column per receiver (dBm), or .npy [B, receivers]; empty or NaN: unknown
   channels  .npy [B, antennas, subcarriers], complex
 FILES of --out
-  locations.csv  estimate, true position and error if known, misfit (1: typical; far above 1: unlike
-                 all fingerprints), area and number of parts of the region
+  locations.csv  estimate; true position and error, if known; misfit to the best fingerprint (1:
+                 typical; far above 1: unlike all fingerprints); area and number of parts of region
   regions.json   outlines of every region in metres; a region may have several parts
-  errors.png     estimates and true positions; 00001.png ..: density and region of single samples
+  errors.png     estimates, and true positions if known
+  00001.png ..   density and region of single samples, named by id or number of the observation
 
 EXAMPLES
   pwrfgs locate runs/ble --out located
   pwrfgs locate runs/ble powers.csv --prior 10,30,10,40
   pwrfgs locate s23 spectrum.png")]
 pub(crate) struct Locate {
-    /// Run folder, model file or model of the program, such as s23
+    /// Run folder, model file or name of a model in `pwrfgs pipelines`, such as s23
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Observations of unknown transmitters [default: test samples of the data]
@@ -56,10 +59,10 @@ pub(crate) struct Locate {
     /// Change a setting of the pipeline, such as data.root=data/ble; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
-    /// Continue despite a finding on data or observations, such as lone-value; repeatable
+    /// Continue despite this finding (a fault in data or observations that an error names), such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
-    /// Number of samples whose probability density is drawn
+    /// Number of samples with an image of the probability density in --out
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub(crate) pictures: usize,
     /// Output folder; must be new or empty [default: write no files]

@@ -13,26 +13,29 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 QUANTITIES
-  powers    power in dBm at each receiver, and at the strongest receiver
+  powers    power in dBm at each receiver and, for several receivers, at the strongest one
   spectra   direction: azimuth and elevation of the strongest direction (degrees, receiver frame;
             arrows on the azimuth map show this direction in world axes); level: pixel value in
             this direction; mean: mean of all pixels
   channels  mean power over antennas and subcarriers in dB
 FILES
-  power.npy  float32 [rows, columns], lowest row first (power-NAME.npy for several receivers)
+  power.npy  float32 [rows, columns], lowest row first (power-NAME.npy for several receivers);
+             other quantities likewise
   power.png  this array as an image, with receivers as squares
-  training_distance.npy, .png  distance to the nearest training position, metres
+  training_distance.npy, .png  distance to the nearest stored training position (at most 1,024 per
+             model), metres
   map.csv    quantity, receiver and grid of each array, and the number of extrapolated positions
-Circles are training positions near the plane. Hatched areas are extrapolations: positions farther
-from all training positions than 3 times the spacing of these (95th percentile of nearest-neighbour
-distances).
-Without --bounds, the map covers all training positions and mapped receivers.
+Circles are stored training positions near the plane. Hatched areas are extrapolations: positions
+farther from all stored training positions than 3 times the spacing of these (95th percentile of
+nearest-neighbour distances).
+Without --bounds, the map covers all stored training positions and the mapped receivers.
 
 EXAMPLES
   pwrfgs map runs/ble --plane z=0 --step 0.25 --receiver g01 --out g01
   pwrfgs map runs/quickstart --plane z=1.2 --of direction --out directions")]
 pub(crate) struct Map {
-    /// Run folder, model file or model of the program, such as s23; several models form an ensemble
+    /// Run folder, model file or name of a model in `pwrfgs pipelines`, such as s23; several models form
+    /// an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     #[command(flatten)]

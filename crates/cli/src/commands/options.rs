@@ -12,7 +12,7 @@ pub(crate) struct ChangeOptions {
     #[arg(
         long = "set",
         value_name = "FIELD=VALUE",
-        help = "Change a setting, such as training.batch=16 or\n'split=Random(test: 0.3)'; repeatable; sweep axes override it"
+        help = "Change a setting, such as training.batch=16 or\n'split=Random(test: 0.3)'; repeatable; in a sweep, axes override it"
     )]
     set: Vec<String>,
     /// Multiply all step counts, such as 0.25.
@@ -20,15 +20,16 @@ pub(crate) struct ChangeOptions {
         long,
         value_name = "FACTOR",
         help = "Multiply all step counts by this factor, such as 0.25. A factor below 1\n\
-                also raises the learning rates of masks to rate / FACTOR, at most 0.1, so\n\
-                that masks still close; a warning says if training is too short for that"
+                also raises the learning rates of pruning masks to rate / FACTOR, at most 0.1,\n\
+                so that they still remove Gaussians; a warning says if training is too short"
     )]
     scale: Option<f64>,
     /// Continue despite a finding on the data, such as lone-value.
     #[arg(
         long,
         value_name = "FINDING",
-        help = "Continue despite a finding on the data, such as lone-value; repeatable"
+        help = "Continue despite this finding (a fault in the data that an error names), such\n\
+                as lone-value; repeatable"
     )]
     pub(super) accept: Vec<String>,
 }

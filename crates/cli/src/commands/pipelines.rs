@@ -11,8 +11,8 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Commands that read a pipeline or a model also accept its name in this list; `pwrfgs sweep` accepts
 the name of an experiment. Relative paths in a listed file, such as data/s23, start in the current
-directory. A file in the current directory with the given name has priority over this list; for
-models, also a folder.
+directory. A file in the current directory with the given name has priority over this list. For
+models, a folder with the given name has priority, too.
 
 EXAMPLES
   pwrfgs pipelines

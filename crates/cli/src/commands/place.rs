@@ -15,9 +15,10 @@ use std::sync::atomic::AtomicBool;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Coverage is the 10th percentile, over transmitters, of the power at the strongest receiver.
-In a simulated scene, `place` selects 1 to 3 receivers at any free positions and compares them with
-selected and random positions on a grid. In a data folder with received powers, `place` selects
-among the measured receivers and scores the selection on held-out transmitters.
+In a scene, the command simulates received powers. It searches positions outside objects for 1 to 3
+receivers, and compares them with receivers on a grid, the best selection and random ones. In a data
+folder with received powers, it selects among the measured receivers, and scores the selection on
+held-out transmitters: the test set of the index files, or a random fifth of the transmitters.
 The command writes place.csv (choice, receiver, position, coverage) and place.png.
 
 EXAMPLES
@@ -25,7 +26,7 @@ EXAMPLES
   pwrfgs place scenes/conference.ron --count 2 --no-grid --out two
   pwrfgs place data/ble --count 5 --out gateways")]
 pub(crate) struct Place {
-    /// Scene file or shipped scene, or data folder with received powers
+    /// Scene file, name of a scene in `pwrfgs pipelines`, or data folder with received powers
     #[arg(value_name = "SOURCE")]
     pub(crate) source: PathBuf,
     #[command(flatten)]

@@ -16,16 +16,17 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command selects one candidate position after another: the candidate that most reduces the
-variance of a Gaussian process, summed over the region. For comparison, it prints random, regular
-and largest-variance choices of the same number of positions. It writes plan.csv (order, candidate,
-position, mean variance once this position is measured) and plan.png.
+variance of a Gaussian process, summed over the region. For comparison, it prints three selections
+of the same number of positions: random ones, every k-th candidate (regular), and always the
+candidate of largest variance. It writes plan.csv (order, candidate, position, mean variance over
+the region once this position is measured) and plan.png.
 CANDIDATES
   SOURCE alone           the positions of a data folder, all of them treated as not measured
   --candidates, --floor  new positions; positions of SOURCE (data, run or model) are measured
-LENGTH SCALE
-  Without measurements, the length scale of the process is a fifth of the diagonal of the region.
-  With measured data and new candidates, it is estimated by maximum likelihood. With --simulate, it
-  is estimated again after 8, 16, 32, .. selected positions.
+LENGTH SCALE (distance over which the correlation of the Gaussian process falls to 37 %)
+  new candidates for a data folder  estimated from its measurements, by maximum likelihood
+  --simulate                        estimated after 8, 16, 32, .. selected positions
+  otherwise                         a fifth of the diagonal of the region
 
 EXAMPLES
   pwrfgs plan data/s23 --simulate --count 100 --out next

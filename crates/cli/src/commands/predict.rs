@@ -17,23 +17,26 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The command needs only a model. Models in the program: s23, ble, office-channel (`pwrfgs pipelines`
+The command needs no data. Models in the program: s23, ble, office-channel (`pwrfgs pipelines`
 describes them). predictions.csv has a row per position and receiver, with the distance to the
-nearest training position in metres and:
-  spectra   azimuth and elevation of the strongest direction in degrees, and its value
+nearest stored training position (at most 1,024 per model) in metres and:
+  spectra   azimuth and elevation of the strongest direction (receiver frame, degrees), its value
   powers    power in dBm
   channels  mean power of the gains in dB
 Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, ..; channels are
 complex64 [antennas, subcarriers] in 00001.npy, .. (with --stacked: spectra.npy or channels.npy).
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
-deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
---interval writes an interval per pixel of spectra (00001-lower.npy and -upper.npy with .png, or
-lower.npy and upper.npy) and the column ssim_bound. For powers, it writes the columns lower_dbm and
-upper_dbm. It does not support channels.
-Until the command ends, the predictions are in DIR.partial. Repeat an interrupted command to resume
-it. To change models, positions or options, first delete DIR.partial.
-A warning gives the number of extrapolations: positions farther from all training positions than 3
-times the spacing of these (95th percentile of nearest-neighbour distances).
+deviation: 00001-spread.npy (spread.npy with --stacked), for spectra also .png (white: 0.5), and for
+powers the column spread_db.
+--interval needs a model of a run with a validation set or with `members`, and does not support
+channels. For spectra, it writes an interval per pixel (00001-lower.npy and -upper.npy with .png; or
+lower.npy and upper.npy with --stacked) and the column ssim_bound, a lower bound of the SSIM. For
+powers, it writes the columns lower_dbm and upper_dbm.
+Until the command ends, the predictions are in DIR.partial, next to the folder DIR of --out. Repeat
+an interrupted command to resume it. To change models, positions or options, first delete
+DIR.partial.
+A warning gives the number of extrapolations: positions farther from all stored training positions
+than 3 times the spacing of these (95th percentile of nearest-neighbour distances).
 
 EXAMPLES
   pwrfgs predict s23 --tx 0.1,-0.2,1.2 --out predicted
@@ -45,13 +48,15 @@ EXAMPLES
   pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    # moving receiver")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv", "rx_pose", "rx_pose_csv"])))]
 pub(crate) struct Predict {
-    /// Run folder, model file or model of the program, such as s23; several models form an ensemble
+    /// Run folder, model file or name of a model in `pwrfgs pipelines`, such as s23; several models form
+    /// an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
-    /// CSV file of transmitter positions: columns x, y, z in metres, or latitude, longitude in degrees
+    /// CSV file of transmitter positions: columns x, y, z in metres or, if the training
+    /// data have degrees, latitude, longitude
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
     /// One pose of a moving receiver: position, and orientation as a quaternion from receiver to world axes

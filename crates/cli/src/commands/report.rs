@@ -14,9 +14,10 @@ const FOLDER: &str = "report";
 
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "\
-The runs must have equal data and splits. Runs that differ only in the seed form one row, with mean
-and standard deviation. Paired differences between rows have 95 % bootstrap intervals over seeds and
-blocks of space. Unfinished runs are left out; a line names the first and counts the others.
+Runs with different data or test sets get separate tables. Runs that differ only in the seed form a
+variant: one row, with mean and standard deviation. Differences from the reference are paired by
+test sample, with 95 % bootstrap intervals over seeds and blocks of neighbouring positions.
+Unfinished runs are left out; a line names the first and counts the others.
 The command writes report.html, report.csv, report.tex with one file per table, and figures as SVG,
 PDF and PNG. It replaces an older report and never changes a folder with other files. For a single
 run without --out, it also rebuilds report.html in the run folder.
@@ -36,7 +37,7 @@ pub(crate) struct Report {
     #[arg(
         long,
         value_name = "LABEL",
-        help = "Reference of paired differences: a variant (name in the table), a baseline\nsuch as 5-NN, or a value on an axis, such as Mine for `pruner Mine,\ntarget_count 60`: each variant is then compared with the one that differs\nonly on this axis [default: first variant]"
+        help = "Row that the others are compared with: a variant (name in the table), a\nbaseline such as 5-NN, or a value on an axis of the experiment, such as Mine\nfor `pruner Mine, target_count 60`: each variant is then compared with the\none that differs only on this axis [default: first variant]"
     )]
     pub(crate) reference: Option<String>,
     /// Columns of the score table in LaTeX, such as ssim,ssim.median,gaussians.
@@ -52,7 +53,7 @@ pub(crate) struct Report {
         long,
         value_name = "NAMES",
         value_delimiter = ';',
-        help = "Variants or methods with a curve in the figures, separated by `;`,\nat most 6 [default: the best methods]"
+        help = "Variants, or methods (variants whose names differ only in numbers),\nwith a curve in the figures, separated by `;`, at most 6 [default: the best]"
     )]
     pub(crate) variants: Vec<String>,
 }

@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
 A finished run deletes its checkpoint (state to resume it); --keep-checkpoint keeps the checkpoint.
 If only baselines or metrics changed, the command scores the trained model without new training.
-A folder of --out with other files is an error and stays unchanged. Paths in a pipeline are relative
-to its file; paths on the command line are relative to the current directory. docs/guide.md
-describes the run folder.
+A folder of --out with other files is an error and stays unchanged. Paths in a pipeline file are
+relative to the file. Paths in a pipeline of the program and on the command line are relative to the
+current directory. docs/guide.md describes the run folder.
 
 EXAMPLES
   pwrfgs run quickstart
@@ -38,7 +38,7 @@ pub(crate) struct Run {
     /// Keep the training state of the finished run, checkpoint.safetensors
     #[arg(long)]
     pub(crate) keep_checkpoint: bool,
-    /// Print all metrics with median and percentile
+    /// Print all metrics, with median and 10th percentile (90th for errors)
     #[arg(long)]
     pub(crate) all: bool,
 }

@@ -24,10 +24,12 @@ LAYOUTS
             half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
   deepmimo  DeepMIMO v4: params.json and matrices of the 25 strongest paths of each user; receivers
             become base stations, transmitters become users
-All layouts except deepmimo have tx_pos.csv (rx_pose.csv if the receiver moves), paths.csv,
-points.ply (surface points with normals), manifest.json (parameters) and index files (every fifth
-transmitter is in the test set). With several receivers, layouts except rssi and deepmimo write one
-folder per receiver.
+All layouts except deepmimo have tx_pos.csv, paths.csv, points.ply (surface points with normals),
+manifest.json (parameters) and, from five transmitters on, index files (every fifth transmitter is
+in the test set). With several receivers, layouts except rssi and deepmimo write one folder per
+receiver.
+If the receiver moves, rx_pose.csv replaces tx_pos.csv. The layouts are then spectra (with --npy),
+rssi and channels, and --no-paths is required.
 In a pipeline, `data: Simulated(scene: ..)` simulates the same data without this command.
 A Mitsuba XML file of Sionna RT is a scene too. By default, its carrier is 3.5 GHz, and antennas are
 at most 1.5 m above its lowest point. To set more, write a scene file (docs/simulator.md).
@@ -74,7 +76,7 @@ pub(crate) struct Simulate {
     /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; other columns are ignored
     #[arg(long, value_name = "FILE", conflicts_with = "tx_csv")]
     pub(crate) rx_pose_csv: Option<PathBuf>,
-    /// Number of random transmitter positions, unless the scene lists positions [default: 1000]
+    /// Number of random positions of the transmitter (or moving receiver), unless the scene lists positions [default: 1000]
     #[arg(long, value_name = "N", conflicts_with_all = ["tx", "tx_csv", "rx_pose", "rx_pose_csv"])]
     pub(crate) samples: Option<usize>,
     /// Random seed for transmitter positions and receiver noise
@@ -155,8 +157,8 @@ impl Simulate {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The folder contains scene.xml and meshes/*.ply: a mesh per object, and meshes of walls, floor and
-ceiling. Sheets keep material and thickness; solids (without `thickness_m`) become sheets with a
-thickness of 10 m. Antennas are not written: set them in Python (Sionna RT).
+ceiling. Sheets (with `thickness_m`) keep material and thickness; solids (without it) become sheets
+with a thickness of 10 m. Antennas are not written: set them in Python (Sionna RT).
 
 EXAMPLES
   pwrfgs export-scene scenes/conference.ron --out conference

@@ -24,9 +24,10 @@ use std::sync::atomic::Ordering;
 #[command(after_help = "\
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
 are validated before the first run starts. The total time is estimated, unless the runs are short.
-Repeat the command to resume: it skips finished runs and repeats failed runs. After the last run, it writes tables and
-figures to DIR/report and, if the file sets `join: true`, an ensemble of all models to DIR/joined.
-docs/guide.md explains the file; `pwrfgs pipelines` also lists the shipped experiments.
+Repeat the command to resume: it continues interrupted runs, skips finished runs and repeats failed
+runs. After the last run, it writes tables and figures to the folder report in the sweep folder. If
+the file sets `join: true`, it writes an ensemble of all models to the folder joined.
+docs/guide.md explains the file; `pwrfgs pipelines` also lists the experiments in the program.
 
 ON A CLUSTER
   --launcher slurm submits a job array, one task per run, with the resources of `slurm` in the file.
@@ -55,7 +56,7 @@ pub(crate) struct Sweep {
     /// Number of parallel runs, which share the threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_count)]
     pub(crate) jobs: usize,
-    /// Run only part I of N, such as 2/5, for any scheduler
+    /// Run only part I of N of the runs, such as 2/5, for any scheduler
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     pub(crate) shard: Option<Shard>,
     /// Run only the runs with these parts of the folder name, such as seed=0 or method=masks,seed=0
@@ -64,7 +65,7 @@ pub(crate) struct Sweep {
     /// Keep the training state of finished runs, checkpoint.safetensors
     #[arg(long)]
     pub(crate) keep_checkpoint: bool,
-    /// Print all metrics of the ensemble, if the file sets `join: true`
+    /// Print all metrics of the ensemble of all models, if the experiment sets `join: true`
     #[arg(long)]
     pub(crate) all: bool,
     /// Submit the runs to a scheduler and return; NAME is slurm

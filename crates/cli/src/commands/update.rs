@@ -16,19 +16,21 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The model needs a residual process (residuals: Kriged() in its pipeline). The command adds all links
-of the new data to the measurements of this process. Nothing is trained: the Gaussians, the network
-and the correlation stay unchanged. Without --data, the command adds the test set of the run. Do
-this after the model is scored: the new model then predicts from all measurements.
-The new data need the kind of observation, the receivers and the frequencies of the model. Most new
-links must lie inside the 99 % prediction intervals of the model. For a model without calibrated
-intervals, the command only prints how well the new data agree with the predictions.
+Kriged residuals correct a prediction by the differences between measurements and predictions at
+nearby transmitters. A model file with Kriged residuals stores these differences. The command adds
+those of the new data. Nothing is trained: the Gaussians, the network and the correlation function
+of Kriging stay unchanged. Without --data, the command adds the test set of the run. Do this after
+the model is scored: the new model then predicts from all measurements.
+The new data need the kind of observation, the receivers and the frequencies of the model. They are
+the finding far-from-model if most of them lie outside the 99 % prediction intervals of the model,
+or farther from its training positions than these extend. For a model without calibrated intervals,
+the command only prints how well the new data agree with the predictions.
 
 EXAMPLES
   pwrfgs update runs/lab --out final.safetensors
   pwrfgs update runs/lab --data data/today --out today.safetensors")]
 pub(crate) struct Update {
-    /// Run folder or model file, with a residual process
+    /// Run folder or model file, with Kriged residuals
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Folder of new data (layouts in docs/data.md) [default: test set of the run folder]
@@ -37,7 +39,7 @@ pub(crate) struct Update {
     /// Model file to write; must not exist
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Continue despite a finding, such as far-from-model after a change of the room; repeatable
+    /// Continue despite this finding (a fault in the data that an error names), such as far-from-model; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
 }

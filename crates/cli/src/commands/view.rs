@@ -21,15 +21,18 @@ ON THE PAGE
   transmitter  drag it (with Shift: change its height), or click a measured position; arrow keys
                move it by 10 cm, Page Up and Page Down change its height
   room         drag to rotate, scroll to zoom
-  slider       selects a snapshot of the training, from the start over each prune step to the end;
-               new snapshots of a run in progress appear
-  locate       shows the estimate of `pwrfgs locate` for the selected sample, with its 90 % region
+  slider       selects a stored snapshot of the training of a run: at the start, before pruning,
+               after prune steps, or at the end; new snapshots of a run in progress appear
+  locate       for runs with data, shows the estimate of `pwrfgs locate` for the selected sample,
+               with a region calibrated to contain nine of ten validation samples
 Two models, or a model and a baseline, predict for the same transmitter position. Write the baseline
 as in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
-Models of the program need no data: s23, ble, office-channel (`pwrfgs pipelines` describes them).
---save writes a page that needs no server. A single model of spectra predicts in this page:
-exactly if its file has up to 1 MB, otherwise with 8-bit weights if the compressed file has up to
-1.5 MB. For other models, the page shows up to 50 stored predictions.
+Models in the program need no data: s23, ble, office-channel (`pwrfgs pipelines` describes them).
+--save writes a page that needs no server. In this page, a model of spectra at one fixed receiver
+predicts if it is a single model without Kriged residuals (`residuals: Kriged()`) and with the
+`deformation` Fixed, Mlp or Factored. Above 1 MiB of Gaussians and network weights, the page has a
+compressed model with 8-bit weights, of at most 1.5 MiB. Without a model, the page shows stored
+predictions of up to 51 test samples.
 
 EXAMPLES
   pwrfgs view s23
@@ -38,10 +41,12 @@ EXAMPLES
   pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'
   pwrfgs view runs/s23-best/joined runs/s23-laptop")]
 pub(crate) struct View {
-    /// Run folder, model file or model of the program (s23); to compare, another one or a baseline (Kriging)
+    /// Run folder, model file or name of a model in `pwrfgs pipelines` (s23); to compare, another one or a baseline
+    /// (Kriging)
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
     pub(crate) sides: Vec<String>,
-    /// Open the page in a browser; its address is visible in the process list
+    /// Open the page in a browser; other users of this machine may then read the secret address of the page in the
+    /// process list
     #[arg(long)]
     pub(crate) open: bool,
     /// Write a page of one finished run that works without a server

@@ -21,7 +21,7 @@ pub struct ChannelImport {
     /// Imaginary parts, if they are in separate files
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "channels")]
     pub imag: Vec<PathBuf>,
-    /// Axes: positions m, antennas a, subcarriers f, parts ri or ir
+    /// Order of the axes: positions m, antennas a, subcarriers f, real and imaginary parts ri or ir
     #[arg(long, value_name = "NAMES", default_value = "m,a,f", requires = "channels")]
     pub axes: String,
     /// Transmitter positions: `.npy`, `.npz` or `.csv` with columns x, y, z, metres; `None`: the array `tx` in the first
@@ -45,7 +45,7 @@ pub struct ChannelImport {
     /// Subcarrier spacing, Hz
     #[arg(long, value_name = "HZ", requires = "channels", allow_hyphen_values = true)]
     pub spacing_hz: Option<f64>,
-    /// Write relative powers in dB, with one receiver per subcarrier (or per antenna of one subcarrier)
+    /// Write powers in dB relative to the strongest, with one receiver per subcarrier, or per antenna if there is one subcarrier
     #[arg(long, requires = "channels")]
     pub powers: bool,
     /// Name of the data set.

@@ -64,7 +64,7 @@ pub struct TableImport {
     /// Chosen columns.
     #[command(flatten)]
     pub columns: ColumnChoice,
-    /// Positions are latitude, longitude in degrees
+    /// Read positions as latitude and longitude in degrees
     #[arg(long = "lat-lon", requires = "files")]
     pub is_lat_lon: bool,
     /// Height of one storey in metres, multiplied by the floor number

@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 pub(crate) struct PositionOptions {
-    /// Data folder, run folder, model file or model of the program
+    /// Data folder, run folder, model file or name of a model in `pwrfgs pipelines`
     #[arg(value_name = "SOURCE", required_unless_present_any = ["candidates", "floor"])]
     pub(crate) source: Option<PathBuf>,
-    /// CSV file of candidates: columns x, y, z in metres; others are ignored
+    /// CSV file of candidates: columns x, y, z in metres; other columns are ignored
     #[arg(long, value_name = "FILE", conflicts_with = "floor")]
     pub(crate) candidates: Option<PathBuf>,
     /// Candidates on a grid over the floor of this scene, outside its objects
@@ -25,7 +25,7 @@ pub(crate) struct PositionOptions {
     /// Grid spacing of --floor in metres
     #[arg(long, value_name = "M", default_value_t = 0.25, requires = "floor")]
     pub(crate) step: f64,
-    /// Height of --floor in metres
+    /// Height of the positions of --floor in metres
     #[arg(long, value_name = "M", default_value_t = 1.2, requires = "floor", allow_negative_numbers = true)]
     pub(crate) height: f64,
 }
