@@ -101,7 +101,7 @@ def locate(
 
 
 def update(self: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept: Sequence[str] = ()) -> "_pwrfgs.Model":
-    """Add new measurements to the residual process of a model, without training, and return the new model.
+    """Add new measurements to the Kriged residuals of a model, without training, and return the new model.
 
     ``accept`` are names of findings that are accepted, such as ``"far-from-model"``: most links lie outside the 99 % intervals of
     the model, as after a change of the room."""

@@ -25,7 +25,7 @@ FUNCTIONS = {
     "view": ("run.view()", "`View`: page in a notebook, or the address of this page"),
     "evaluate": ("pwrfgs.evaluate(model, pipeline)", "`Run`: scores and report, also of your own model"),
     "report": ("pwrfgs.report(runs)", "tables as text; the report folder has the figures"),
-    "update": ("model.update(data)", "`Model` with new measurements in its residual process, without training"),
+    "update": ("model.update(data)", "`Model` with new measurements in its Kriged residuals, without training"),
     "compress": ("model.compress(bits=8)", "`Model` with weights in 8 or 16 bits"),
     "export": ("model.gaussians()", "`Gaussians`: arrays; `model.to_ply(path)` writes a file for splat viewers"),
     "import": ("pwrfgs.Dataset.from_table(frame)", "`Dataset`"),

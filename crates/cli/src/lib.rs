@@ -31,7 +31,7 @@ EXAMPLES
   pwrfgs run quickstart                                 # about a minute on two cores
   pwrfgs run quickstart --scale 0.25 --set seed=1 --out runs/short
   pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --out predicted
-  pwrfgs plugins                                        # names that a pipeline can use
+  pwrfgs plugins                                        # plugins and settings of a pipeline
 
 EXIT CODES
   0 done, 1 failed, 2 invalid input, 130 interrupted (repeat the command)"

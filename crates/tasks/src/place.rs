@@ -24,7 +24,7 @@ const RANDOM: usize = 100;
 #[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaceSettings {
-    /// Number of receivers
+    /// Number of receivers to select
     #[arg(long, value_name = "N")]
     pub count: usize,
     /// Scenes: grid spacing of transmitters and of receivers in metres

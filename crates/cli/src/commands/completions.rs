@@ -13,7 +13,7 @@ EXAMPLES
   pwrfgs completions fish > ~/.config/fish/completions/pwrfgs.fish
   pwrfgs completions zsh > ~/.zfunc/_pwrfgs   # needs `fpath+=~/.zfunc` before compinit in ~/.zshrc")]
 pub(crate) struct Completions {
-    /// Shell
+    /// Shell that the script is for
     #[arg(value_name = "SHELL")]
     pub(crate) shell: Shell,
 }

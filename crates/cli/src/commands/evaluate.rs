@@ -27,7 +27,7 @@ const LISTED: usize = 8;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Data, split, metrics and baselines are those of pipeline.ron next to the first model or, for a model
-in the program, of the pipeline that trained it. --set changes them.
+in the program, of a pipeline in the program. --set changes them.
 The command prints the score table. With --out, it also writes scores.csv, samples.csv and
 report.html, and a stopped command resumes after the last scored model or baseline when repeated.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].

@@ -40,7 +40,7 @@ pub(crate) struct Import {
     #[arg(
         long,
         value_name = "FILE",
-        help = "Transmitter positions in metres: .npy or .npz [M, 3], or .csv with\ncolumns x, y, z [default: array tx of the .npz of the spectra]"
+        help = "Transmitter positions in metres: .npy or .npz [M, 3], or .csv with\ncolumns x, y, z [default: array tx of the .npz of spectra or channels]"
     )]
     pub(crate) tx: Option<PathBuf>,
     /// Receiver position in metres; with --table, the column of receivers or the name of the only receiver

@@ -53,7 +53,7 @@ pub(crate) struct Report {
         long,
         value_name = "NAMES",
         value_delimiter = ';',
-        help = "Variants, or methods (variants whose names differ only in numbers),\nwith a curve in the figures, separated by `;`, at most 6 [default: the best]"
+        help = "Variants, or methods (variants whose names differ only in numbers),\nwith a curve in the figures, separated by `;`, at most 6\n[default: the best methods, and that of the reference]"
     )]
     pub(crate) variants: Vec<String>,
 }

@@ -32,7 +32,7 @@ If the receiver moves, rx_pose.csv replaces tx_pos.csv. The layouts are then spe
 rssi and channels, and --no-paths is required.
 In a pipeline, `data: Simulated(scene: ..)` simulates the same data without this command.
 A Mitsuba XML file of Sionna RT is a scene too. By default, its carrier is 3.5 GHz, and antennas are
-at most 1.5 m above its lowest point. To set more, write a scene file (docs/simulator.md).
+at most 1.5 m above its lowest point. For other settings, write a scene file (docs/simulator.md).
 
 EXAMPLES
   pwrfgs simulate office --out data/office

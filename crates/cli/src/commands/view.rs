@@ -15,7 +15,7 @@ use std::process::{Command, Stdio};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command prints the address of a page and serves the page until it is closed or you press Ctrl-C.
-Only this machine can open the page: the address has a random local port and a random token.
+Only this machine can open the page, and only with this address, which has a random token.
 
 ON THE PAGE
   transmitter  drag it (with Shift: change its height), or click a measured position; arrow keys
@@ -31,8 +31,8 @@ Models in the program need no data: s23, ble, office-channel (`pwrfgs pipelines`
 --save writes a page that needs no server. In this page, a model of spectra at one fixed receiver
 predicts if it is a single model without Kriged residuals (`residuals: Kriged()`) and with the
 `deformation` Fixed, Mlp or Factored. Above 1 MiB of Gaussians and network weights, the page has a
-compressed model with 8-bit weights, of at most 1.5 MiB. Without a model, the page shows stored
-predictions of up to 51 test samples.
+compressed model with 8-bit weights, of at most 1.5 MiB. All other pages show stored predictions of
+up to 51 test samples.
 
 EXAMPLES
   pwrfgs view s23

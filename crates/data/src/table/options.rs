@@ -76,7 +76,7 @@ pub struct TableImport {
     /// Value that means "not received", such as 100; repeatable
     #[arg(long, value_name = "VALUE", requires = "files", allow_hyphen_values = true)]
     pub missing: Vec<f64>,
-    /// Unit of powers: dBm, positive-dBm (without sign), percent, dB:FLOOR (over a floor in dBm), mW or W
+    /// Unit of powers: dBm, positive-dBm (without sign), percent, dB:FLOOR (dB over a floor in dBm), mW or W
     #[arg(long, value_name = "UNIT", requires = "files", default_value = "dBm")]
     pub unit: PowerUnit,
     /// Title of the data set.
