@@ -111,7 +111,8 @@ def update(self: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept: Sequence[s
 
 
 def compress(self: "_pwrfgs.Model", bits: int = 8) -> "_pwrfgs.Model":
-    """Return the model with network weights in 8 or 16 bits, and everything else in 16 bits."""
+    """Return the model with network weights in 8 or 16 bits, and everything else in 16 bits, except Kriged residuals
+    and constants."""
     small, notes = _pwrfgs.compress(self, bits)
     for note in notes:
         log.info("%s", note)
