@@ -20,7 +20,7 @@ pub(crate) struct ChangeOptions {
         long,
         value_name = "FACTOR",
         help = "Multiply all step counts by this factor, such as 0.25. A factor below 1\n\
-                also raises the learning rates of pruning masks to rate / FACTOR, at most 0.1,\n\
+                also raises the learning rates of pruning masks to rate / FACTOR, up to a limit,\n\
                 so that they still remove Gaussians; a warning says if training is too short"
     )]
     scale: Option<f64>,

@@ -19,8 +19,9 @@ variant: one row, with mean and standard deviation. Differences from the referen
 test sample, with 95 % bootstrap intervals over seeds and blocks of neighbouring positions.
 Unfinished runs are left out; a line names the first and counts the others.
 The command writes report.html, report.csv, report.tex with one file per table, and figures as SVG,
-PDF and PNG. It replaces an older report and never changes a folder with other files. For a single
-run without --out, it also rebuilds report.html in the run folder.
+PDF and PNG. It replaces the files of an older report. A folder of --out with other files and no
+report is an error and stays unchanged. For a single run without --out, the command also rebuilds
+report.html in the run folder.
 
 EXAMPLES
   pwrfgs report runs/paper-office
