@@ -13,7 +13,8 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 QUANTITIES
-  powers    power in dBm at each receiver and, for several receivers, at the strongest one (strongest.npy)
+  powers    power in dBm at each receiver and, for several receivers, at the strongest of them
+            (strongest.npy)
   spectra   direction: azimuth and elevation of the strongest direction (degrees, receiver frame;
             arrows on the azimuth map show this direction in world axes); level: pixel value in
             this direction; mean: mean of all pixels
