@@ -12,6 +12,7 @@ pub use antennas::{MovingReceiver, Orientation, SceneReceiver, SceneTransmitter}
 pub use noise::Noise;
 pub(crate) use noise::SNR_RANGE_DB;
 pub use propagation::{Propagation, Subcarriers};
+pub(crate) use room::THICKEST;
 pub use room::{Finish, Object, Outline, Room};
 pub use transmitters::Transmitters;
 
@@ -30,8 +31,6 @@ use std::path::{Path, PathBuf};
 
 /// Longest name, characters.
 const LONGEST_NAME: usize = 200;
-/// Largest thickness of a sheet, metres.
-pub(crate) const THICKEST: f64 = 10.0;
 /// Smallest real part of the relative permittivity: below it, coefficients round.
 const LEAST_PERMITTIVITY: f64 = 1e-6;
 /// Largest modulus of the relative permittivity: above it, coefficients overflow.

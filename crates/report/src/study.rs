@@ -1,6 +1,7 @@
 //! Tables and figures that compare the runs of a [`Study`](pwrfgs_experiment::Study), and their folder.
 
 mod comparison;
+mod csv;
 pub mod figures;
 mod output;
 mod page;

@@ -6,6 +6,9 @@ use pwrfgs_core::Error;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
+/// Largest thickness of a sheet, metres.
+pub(crate) const THICKEST: f64 = 10.0;
+
 /// Largest absolute coordinate, metres.
 pub(crate) const FAR: f64 = 1e6;
 

@@ -1,6 +1,7 @@
 //! `StudyPage`: content of the report, independent of the format.
 
-use super::comparison::{Comparison, RowKind, report_csv};
+use super::comparison::{Comparison, RowKind};
+use super::csv::report_csv;
 use super::figures::shown::check_variants;
 use super::figures::{self, Figure, FigureSet};
 use super::reference::Reference;

@@ -2,8 +2,7 @@
 
 use super::{Element, MitsubaScene, Reader, child_elements, property_element};
 use crate::material::{self, Material};
-use crate::scene::THICKEST;
-use crate::scene::room::Finish;
+use crate::scene::room::{Finish, THICKEST};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Result, did_you_mean};
 use pwrfgs_data::warn_once;
