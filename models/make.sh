@@ -1,6 +1,6 @@
 #!/bin/sh
 # Trains the shipped models again, compresses and scores them (models/README.md). From the root of the repository, with data in
-# data/s23 and data/ble (docs/data.md) and `pwrfgs` on the PATH; about 20 minutes of one core:
+# data/s23 and data/ble (docs/data.md) and `pwrfgs` on the PATH; about 10 minutes of one core with a release build:
 #   models/make.sh OUT
 # OUT then has the runs, the models NAME.safetensors and their scores NAME.txt. Another processor gives other digits. To ship new
 # files, copy them to models/ and renew digests, predictions and scores in tests/models.rs and models/README.md.
