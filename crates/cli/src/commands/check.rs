@@ -47,12 +47,12 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command prints the ranges of positions and values. For spectra, it also lists constant and equal
-ones, and compares the recorded receiver orientation with the strongest directions. For each kind of
-split, it prints the median distance from test transmitters to the nearest training transmitter, the
-mean score of each baseline on up to 300 test samples, and the noise ceiling: an approximate limit
-for the mean score of every model, from samples at nearly equal positions. A pipeline sets data,
-split, baselines, metrics and seed. For a data folder, the first split is that of `pwrfgs init`, and
-the other settings have their defaults.
+ones, and checks the recorded receiver orientation: it compares the direction to each transmitter
+with the strongest direction of its spectrum. For each kind of split, it prints the median distance
+from test transmitters to the nearest training transmitter, the mean score of each baseline on up to
+300 test samples, and the noise ceiling: an approximate limit for the mean score of every model, from
+samples at nearly equal positions. A pipeline sets data, split, baselines, metrics and seed. For a
+data folder, the first split is that of `pwrfgs init`, and the other settings have their defaults.
 
 EXAMPLES
   pwrfgs inspect pipelines/quickstart.ron

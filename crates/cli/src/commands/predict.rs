@@ -26,12 +26,13 @@ nearest stored training position (at most 1,024 per model) in metres and:
 Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, ..; channels are
 complex64 [antennas, subcarriers] in 00001.npy, .. (with --stacked: spectra.npy or channels.npy).
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
-deviation: 00001-spread.npy (spread.npy with --stacked), for spectra also .png (white: 0.5), and for
-powers the column spread_db.
+deviation: 00001-spread.npy (spread.npy with --stacked), for spectra also 00001-spread.png (white:
+0.5), and for powers the column spread_db.
 --interval needs a model of a run with a validation set or with `members`, and does not support
-channels. For spectra, it writes an interval per pixel (00001-lower.npy and -upper.npy with .png; or
-lower.npy and upper.npy with --stacked) and the column ssim_bound, a lower bound of the SSIM. For
-powers, it writes the columns lower_dbm and upper_dbm.
+channels. For spectra, it writes the ends of an interval per pixel, as arrays (00001-lower.npy and
+00001-upper.npy; lower.npy and upper.npy with --stacked) and images (00001-lower.png, ..), and the
+column ssim_bound, a lower bound of the SSIM. For powers, it writes the columns lower_dbm and
+upper_dbm.
 Until the command ends, the predictions are in DIR.partial, next to the folder DIR of --out. Repeat
 an interrupted command to resume it. To change models, positions or options, first delete
 DIR.partial.
