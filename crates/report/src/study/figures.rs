@@ -113,7 +113,7 @@ pub struct FigureSet {
 }
 
 /// Function that draws a figure from scores, and one that draws it from data and models.
-type FromScores = fn(&Setting) -> Option<Figure>;
+type FromScores<'a> = &'a dyn Fn(&Setting) -> Option<Figure>;
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
 /// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
@@ -121,16 +121,16 @@ type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 /// `references`. `progress` counts figures.
 pub fn draw_figures(setting: &Setting, chosen: &[String], references: &[&str], progress: Progress<'_>) -> FigureSet {
     let ShownVariants { all, methods, curves, panels, spread } = &ShownVariants::of(setting, chosen, references);
-    let from_scores: [(&Selection, FromScores); 9] = [
-        (spread.as_ref().unwrap_or(curves), gaussians::figure),
-        (methods, tradeoff::first_metric_figure),
-        (methods, tradeoff::rate_ratio_figure),
-        (all, tradeoff::pareto_figure::<0>),
-        (all, tradeoff::pareto_figure::<1>),
-        (all, tradeoff::pareto_figure::<2>),
-        (all, latency::figure),
-        (curves, errors::distribution_figure),
-        (curves, errors::distance_figure),
+    let from_scores: [(&Selection, FromScores<'_>); 9] = [
+        (spread.as_ref().unwrap_or(curves), &gaussians::figure),
+        (methods, &tradeoff::first_metric_figure),
+        (methods, &tradeoff::rate_ratio_figure),
+        (all, &|setting| tradeoff::pareto_figure::<0>(setting, references)),
+        (all, &|setting| tradeoff::pareto_figure::<1>(setting, references)),
+        (all, &|setting| tradeoff::pareto_figure::<2>(setting, references)),
+        (all, &latency::figure),
+        (curves, &errors::distribution_figure),
+        (curves, &errors::distance_figure),
     ];
     let from_data: [(&Selection, FromData); 3] =
         [(panels, panels::room_figure), (panels, panels::spectra_figure), (curves, rate::figure)];

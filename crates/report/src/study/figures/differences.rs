@@ -43,7 +43,7 @@ fn draw_rows(rows: &[(&str, &Difference)], axis: &str) -> Canvas {
     let (row, top) = (ROW + LINE * (lines as f64 - 1.0), 6.0);
     let width = PAGE.min(left + COLUMN) - left - 10.0;
     let bottom = top + row * rows.len() as f64;
-    let axis = wrap_text(axis, left + width);
+    let axis = wrap_text(axis, width);
     let mut canvas = Canvas::new(left + width + 10.0, bottom + 22.0 + LINE * axis.len() as f64);
     let x = |value: f64| left + width * (value - low) / (high - low);
     let thin = Paint::stroke(INK, 0.9);
@@ -65,7 +65,7 @@ fn draw_rows(rows: &[(&str, &Difference)], axis: &str) -> Canvas {
         let inside = if difference.is_clear() { BLACK } else { WHITE };
         canvas.circle([x(difference.mean), y], 3.2, Paint::fill(inside).outlined(BLACK, 1.2));
     }
-    let middle = f64::midpoint(0.0, left + width);
+    let middle = left + width / 2.0;
     canvas.lines([middle, bottom + 22.0 + LINE * axis.len() as f64 / 2.0], Anchor::Middle, &axis);
     canvas
 }

@@ -143,7 +143,7 @@ const COSTS: [CostAxis; 3] = [
 
 /// Draws the first metric of methods at equal numbers of Gaussians against the cost with index `K` in [`COSTS`]. `None` if
 /// there are too few methods, or none has this cost.
-pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure> {
+pub(super) fn pareto_figure<const K: usize>(setting: &Setting, references: &[&str]) -> Option<Figure> {
     let (cost, headline) = (&COSTS[K], setting.headline());
     // Methods that are always worse than all baselines would compress the axis.
     let is_worst = |family: &VariantFamily<'_>| is_worse_than_baselines(setting, family);
@@ -153,8 +153,10 @@ pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure>
     let last = families.len().checked_sub(1)?;
     let (mut lines, mut others) = (Vec::new(), Vec::new());
     for (k, family) in families.iter().enumerate() {
-        let is_shown = k < SHOWN || k == last;
-        let line = family_line(family, k.min(SHOWN), cost, headline.key, is_shown);
+        let is_reference = k != last && family.variants.iter().any(|v| references.contains(&v.label.as_str()));
+        let is_shown = k < SHOWN || k == last || is_reference;
+        let style = if is_reference { k.min(SHOWN + 1) } else { k.min(SHOWN) };
+        let line = family_line(family, style, cost, headline.key, is_shown);
         if is_shown { lines.extend(line) } else { others.extend(line) }
     }
     if lines.is_empty() {
