@@ -2,6 +2,7 @@
 
 use crate::{IntervalCalibration, Model, Prepared, Residuals, TrainingDistances};
 use pwrfgs_core::{Appearance, ImagePlane, Origin, Real, Result};
+use std::collections::HashSet;
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
 /// each clamped to [0, 1]; a single model predicts without clamping. The deviation between models measures uncertainty:
@@ -166,13 +167,16 @@ impl Ensemble {
         limits.reduce(|a, b| Some(a?.min(b?)))?
     }
 
-    /// Returns the thinned training positions of all members `[K,3]`, metres, world frame; empty if unknown.
+    /// Returns the thinned training positions of all members `[K,3]`, metres, world frame: each once, also if members share it;
+    /// empty if unknown.
     pub fn training_positions(&self) -> Vec<[f64; 3]> {
+        let mut seen = HashSet::new();
         let positions = |model: &Model| {
             model.training_positions.as_ref().map_or(Vec::new(), |training| training.positions().to_vec())
         };
         let in_world = |model| positions(model).into_iter().map(|position| model.stages.origin.world(position));
-        self.members.iter().flat_map(in_world).collect()
+        let all = self.members.iter().flat_map(in_world);
+        all.filter(|position| seen.insert(position.map(|x| (x + 0.0).to_bits()))).collect()
     }
 
     /// Prepares all members for predictions.

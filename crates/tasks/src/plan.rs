@@ -17,7 +17,6 @@ use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, l
 use pwrfgs_report::draw::survey::SurveyMap;
 use schemars::JsonSchema;
 use serde::Deserialize;
-use std::collections::HashSet;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -96,8 +95,7 @@ impl PlanInput {
 
     /// Returns the training positions of a model as known measurements, without candidates; `None` if it has none.
     pub fn of_model(ensemble: &Ensemble, title: &str) -> Option<Self> {
-        // Members share positions; repeated ones would count as more measurements.
-        let measured = distinct_positions(ensemble.training_positions());
+        let measured = ensemble.training_positions();
         let setup = &ensemble.members()[0].stages.setup;
         let receivers = setup.receivers.iter();
         let receivers = receivers.map(|receiver| setup.origin.world_pose(receiver.pose).position).collect();
@@ -199,13 +197,6 @@ fn select_region(settings: &PlanSettings, input: &PlanInput) -> Result<Vec<[f64;
         )));
     }
     Ok(region)
-}
-
-/// Returns each position once, in the order of the first ones.
-fn distinct_positions(mut positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
-    let mut seen = HashSet::new();
-    positions.retain(|position| seen.insert(position.map(f64::to_bits)));
-    positions
 }
 
 /// Returns the correlation of the first step: of `--length-scale`, else learned from known measurements, else the
@@ -361,16 +352,5 @@ fn describe_verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -
         "the plan is better than the regular choice\n"
     } else {
         "the regular choice is as good: measure every k-th candidate if that is simpler\n"
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn positions_that_members_share_count_once() {
-        let (a, b, c) = ([0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
-        assert_eq!(distinct_positions(vec![b, a, b, c, a]), [b, a, c]);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::tensors::Tensors;
-use crate::{Ensemble, HeldOutScores, IntervalCalibration, KnownLinks, Model, Stages, file};
+use crate::{Ensemble, HeldOutScores, IntervalCalibration, KnownLinks, Model, Stages, TrainingPositions, file};
 use pwrfgs_core::kriging::{Correlation, CorrelationKind, PathLoss, ResidualTrend, fit_observations};
 use pwrfgs_core::{
     Dataset, Error, FittingSet, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _,
@@ -26,6 +26,17 @@ fn model(shift: Real) -> Model {
     cloud.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
     cloud.signals = vec![[0.5, 0.2]; 2];
     Model { stages, cloud, weights, training_positions: None }
+}
+
+/// Eight members of a run share most positions: each is one measurement.
+#[test]
+fn training_positions_of_an_ensemble_are_distinct() {
+    let member =
+        |positions: &[[Real; 3]]| Model { training_positions: TrainingPositions::thinned(positions), ..model(0.0) };
+    let (a, b, c) = ([0.0, 1.0, 2.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+    let mut positions = Ensemble::new(vec![member(&[a, b]), member(&[b, c])]).unwrap().training_positions();
+    positions.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    assert_eq!(positions, [c, a, b].map(|position| position.map(f64::from)));
 }
 
 /// A model that depends on the transmitter.

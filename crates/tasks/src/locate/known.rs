@@ -47,7 +47,6 @@ pub(super) fn predicted_samples(ensemble: &Ensemble, progress: Progress<'_>) -> 
     }
     let mut positions = ensemble.training_positions();
     positions.sort_by(|a, b| a.partial_cmp(b).expect("finite positions"));
-    positions.dedup();
     if positions.is_empty() {
         let problem = "the model file has no training positions to compare with; name a run folder";
         return Err(Error::Config(problem.into()));
