@@ -129,7 +129,7 @@ impl Model {
     #[pyo3(signature = (bytes, is_compressed=false))]
     fn _from_bytes(py: Python<'_>, bytes: &[u8], is_compressed: bool) -> PyResult<Self> {
         let ensemble = without_gil(py, || file::from_bytes(bytes).map_err(Error::Config))?;
-        Ok(Self { compressed: is_compressed.then(|| bytes.to_vec()), ..Self::new(ensemble) })
+        Ok(if is_compressed { Self::new_compressed(ensemble, bytes.to_vec()) } else { Self::new(ensemble) })
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Pickle<'py>> {

@@ -93,7 +93,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         samples: partition.sizes(),
         weights: trainer.weight_count(),
         summary: DataSummary::of(data, SUMMARISED, observer)?,
-        test_distance: if data.placed { test_distance(data, partition) } else { f64::NAN },
+        test_distance: test_distance(data, partition),
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
         step_bytes: trainer.step_bytes(),
@@ -222,9 +222,12 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres: 0 if positions are
-/// unknown, NaN without test samples.
+/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres: NaN if positions are
+/// unknown, and without test samples.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
+    if !data.placed {
+        return f64::NAN;
+    }
     let nearest = nearest_training_distances(data, &partition.train);
     median(partition.test.iter().map(|&i| nearest[i] as f64))
 }

@@ -144,7 +144,7 @@ impl Inspection {
             name,
             train: partition.train.len(),
             test: partition.test.len(),
-            nearest_m: if data.placed { test_distance(data, &partition) } else { f64::NAN },
+            nearest_m: test_distance(data, &partition),
             means,
             ceiling: ceiling.metrics.first().map_or(f64::NAN, |(_, at_zero)| at_zero.summary.mean),
         });

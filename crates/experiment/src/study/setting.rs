@@ -26,7 +26,7 @@ pub struct Setting {
 pub struct StudyVariant {
     /// Label that distinguishes it in its setting, such as `lambda 0.02`.
     pub label: String,
-    /// Axes of its sweep, each with the value of the variant.
+    /// Axes of its sweep, each with the value of the variant; the axis without a name has that of the sweep or run.
     pub axes: Vec<(String, String)>,
     /// One run per seed, in ascending order of seeds.
     pub runs: Vec<Record>,

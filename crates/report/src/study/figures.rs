@@ -116,7 +116,7 @@ pub struct FigureSet {
 type FromScores<'a> = &'a dyn Fn(&Setting) -> Option<Figure>;
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
-/// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
+/// Draws all figures but that of differences for which there are numbers, and notes why those that need data and models are missing. A figure has
 /// at most six curves: `chosen` names their variants or methods; if empty, they are of the best methods and of the variants
 /// `references`. `progress` counts figures.
 pub fn draw_figures(setting: &Setting, chosen: &[String], references: &[&str], progress: Progress<'_>) -> FigureSet {

@@ -4,7 +4,7 @@ use super::comparison::{Comparison, RowKind};
 use super::csv::report_csv;
 use super::figures::shown::check_variants;
 use super::figures::{self, Figure, FigureSet};
-use super::reference::Reference;
+use super::reference::{Reference, RowDifferences};
 use super::tables::{self, Table};
 use crate::templates::render_sentences;
 use minijinja::{Value, context};
@@ -58,7 +58,7 @@ pub(super) struct Section {
     pub(super) figures: Vec<Figure>,
     /// Runs of the setting.
     pub(super) runs: Vec<Value>,
-    /// Notes of the baselines.
+    /// Notes of all predictors.
     pub(super) notes: Vec<String>,
 }
 
@@ -75,18 +75,19 @@ impl StudyPage {
         check_variants(&study.settings, &options.variants)?;
         check_columns(&comparisons, &options.columns)?;
         let mut sections = Vec::new();
-        let mut references = Vec::new();
+        let mut all_differences = Vec::new();
         for (i, (comparison, named)) in comparisons.iter().zip(named).enumerate() {
             let reference = named.unwrap_or_else(|| Reference::first(comparison));
             let drawn = run_stage(observer, "drawing the figures", |p| {
                 figures::draw_figures(comparison.setting, &options.variants, &reference.labels(), p)
             });
-            sections.push(Section::new(i, comparison, options, &reference, drawn));
-            references.push(reference);
+            let differences = reference.differences(comparison);
+            sections.push(Section::new(i, comparison, options, (&reference, &differences), drawn));
+            all_differences.push(differences);
         }
         let unfinished = describe_left_out(&study.unfinished, "not finished");
         let repeated = describe_left_out(&study.repeated, "repeated; named before");
-        let csv = report_csv(comparisons.iter().zip(&references));
+        let csv = report_csv(comparisons.iter().zip(all_differences));
         Ok(Self {
             title: study.title.clone(),
             sections,
@@ -131,7 +132,7 @@ impl Section {
         index: usize,
         comparison: &'a Comparison<'a>,
         options: &ReportOptions,
-        reference: &Reference<'a>,
+        (reference, differences): (&Reference<'a>, &[RowDifferences<'a>]),
         drawn: FigureSet,
     ) -> Self {
         let setting = comparison.setting;
@@ -144,15 +145,16 @@ impl Section {
         warnings.extend(comparison.ambiguous_baseline_warnings());
         warnings.extend(drawn.left_out);
         let metrics = tables::compared_metrics(comparison);
-        let differences = reference.differences(comparison, &metrics);
-        let axis = metrics.first().map_or_else(String::new, |metric| tables::axis_name(metric));
-        let mut figures: Vec<Figure> =
-            figures::differences::figure(setting, &axis, reference, &differences).into_iter().collect();
+        let first = metrics.first().and_then(|metric| {
+            let axis = tables::axis_name(metric);
+            figures::differences::figure(setting, (&metric.key, &axis), reference, differences)
+        });
+        let mut figures: Vec<Figure> = first.into_iter().collect();
         figures.extend(drawn.figures);
         let tables = [
             tables::rank_table(setting),
             tables::score_table(comparison),
-            tables::difference_table(comparison, reference, &metrics, &differences),
+            tables::difference_table(comparison, reference, &metrics, differences),
             tables::further_table(comparison),
             tables::latency_table(comparison),
         ];

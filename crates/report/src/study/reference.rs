@@ -3,6 +3,7 @@
 use super::comparison::{Comparison, ComparisonRow, RowKind};
 use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::Difference;
+use std::collections::BTreeMap;
 
 /// Rows that are subtracted from the others.
 #[derive(Clone, Debug)]
@@ -17,8 +18,8 @@ pub(super) struct Reference<'a> {
 pub(super) struct RowDifferences<'a> {
     pub(super) row: &'a ComparisonRow<'a>,
     pub(super) reference: &'a ComparisonRow<'a>,
-    /// Difference by each metric, if both rows have scores of common samples.
-    pub(super) by_metric: Vec<Option<Difference>>,
+    /// Difference by the key of a metric, if both rows have scores of common samples.
+    pub(super) by_key: BTreeMap<&'a str, Difference>,
 }
 
 impl<'a> Reference<'a> {
@@ -52,22 +53,23 @@ impl<'a> Reference<'a> {
         let is_matching = |reference: &ComparisonRow<'_>| {
             axis_of(reference, self.label).is_some_and(|axis| other_axes(reference, axis) == other_axes(row, axis))
         };
-        let is_reference = self.rows.iter().any(|reference| reference.label == row.label && reference.kind == row.kind);
-        let mut rows = self.rows.iter().copied().filter(|_| !is_reference);
+        if self.rows.iter().any(|reference| std::ptr::eq(*reference, row)) {
+            return None;
+        }
+        let mut rows = self.rows.iter().copied();
         rows.find(|reference| !self.is_by_axis || row.kind == RowKind::Variant && is_matching(reference))
     }
 
-    /// Returns the differences of all rows by these metrics; omits rows without any.
-    pub(super) fn differences(
-        &self,
-        comparison: &'a Comparison<'a>,
-        metrics: &[&MetricRow],
-    ) -> Vec<RowDifferences<'a>> {
+    /// Returns the differences of all rows by all metrics of test samples; omits rows without any.
+    pub(super) fn differences(&self, comparison: &'a Comparison<'a>) -> Vec<RowDifferences<'a>> {
+        let metrics = || comparison.metrics.iter().filter(|metric| metric.is_per_sample());
         let difference = |row: &'a ComparisonRow<'a>| {
             let reference = self.row_for(row)?;
-            let by_metric: Vec<_> =
-                metrics.iter().map(|metric| row.difference_from(reference, metric, &comparison.blocks)).collect();
-            by_metric.iter().any(Option::is_some).then_some(RowDifferences { row, reference, by_metric })
+            let by_metric = |metric: &'a MetricRow| {
+                Some((metric.key.as_str(), row.difference_from(reference, metric, &comparison.blocks)?))
+            };
+            let by_key: BTreeMap<_, _> = metrics().filter_map(by_metric).collect();
+            (!by_key.is_empty()).then_some(RowDifferences { row, reference, by_key })
         };
         comparison.rows.iter().filter_map(difference).collect()
     }

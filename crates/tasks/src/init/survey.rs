@@ -192,13 +192,12 @@ impl DataSurvey {
     /// Lists the notes for the head of the pipeline file: data, split, frequencies and start of the Gaussians.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.describe())];
-        let has_positions = self.data.placed;
-        let near = if has_positions {
+        let near = if self.data.placed {
             format!("the median distance from test to training transmitters is {:.3} m", self.nearest)
         } else {
             "the data have no transmitter positions".into()
         };
-        notes.push(match (self.data.official.is_some(), has_positions && self.nearest < NEAR) {
+        notes.push(match (self.data.official.is_some(), self.nearest < NEAR) {
             (true, true) => format!(
                 "The split is from the index files of the data, and {near}: copying the nearest training sample scores \
                  high. `split: Voxel()` holds out cells of space and `split: TimeBlock()` a block of time."

@@ -6,7 +6,8 @@ use crate::draw::axes::ticks;
 use crate::study::reference::{Reference, RowDifferences};
 use minijinja::context;
 use pwrfgs_core::statistics::bounds;
-use pwrfgs_experiment::{Setting, statistics::Difference};
+use pwrfgs_experiment::Setting;
+use pwrfgs_experiment::statistics::{CONFIDENCE, Difference};
 
 /// Maximum number of rows; more would not fit a page.
 const ROWS: usize = 40;
@@ -14,21 +15,20 @@ const ROWS: usize = 40;
 const ROW: f64 = 18.0;
 const NAMES: f64 = 230.0;
 
-/// Draws the differences by the first metric of `differences`, whose `axis` has its name and unit; `None` without any, and for too
-/// many rows.
+/// Draws the differences by a metric, whose `axis` has its name and unit; `None` without any, and for too many rows.
 pub(in super::super) fn figure(
     setting: &Setting,
-    axis: &str,
+    (key, axis): (&str, &str),
     reference: &Reference<'_>,
     differences: &[RowDifferences<'_>],
 ) -> Option<Figure> {
     let rows: Vec<(&str, &Difference)> =
-        differences.iter().filter_map(|d| Some((d.row.label, d.by_metric.first()?.as_ref()?))).collect();
+        differences.iter().filter_map(|d| Some((d.row.label, d.by_key.get(key)?))).collect();
     let label = reference.label;
-    let words = context! { axis, label, is_by_axis => reference.is_by_axis };
-    (1..=ROWS)
-        .contains(&rows.len())
-        .then(|| Figure::new("differences", setting, words, draw_rows(&rows, &format!("Δ {axis} from {label}"))))
+    let percent = (CONFIDENCE * 100.0).round() as u32;
+    let words = context! { label, is_by_axis => reference.is_by_axis, percent };
+    let draw = || draw_rows(&rows, &format!("Δ {axis} from {label}"));
+    (1..=ROWS).contains(&rows.len()).then(|| Figure::new("differences", setting, words, draw()))
 }
 
 /// Draws the rows over an axis that includes 0, with its name.

@@ -2,6 +2,7 @@
 
 use pwrfgs_core::{Error, Result, did_you_mean, evenly};
 use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, distinct};
+use std::fmt::Write as _;
 
 /// Maximum number of curves of variants or methods in a figure, and of grey curves of baselines; the help of `--variants` and
 /// `figures.txt` print them.
@@ -61,9 +62,7 @@ impl ShownVariants {
         let panels = if chosen.is_empty() && families.len() > 1 && variants.len() > families.len() {
             let mut panels = Selection::with_short_labels(keep(&methods, &best_variants(&methods)));
             let short = methods.headline().short;
-            panels.remarks += " Of each method, the variant with the best ";
-            panels.remarks += short;
-            panels.remarks += " is shown.";
+            _ = write!(panels.remarks, " Of each method, the variant with the best {short} is shown.");
             panels
         } else {
             Selection::with_short_labels(curves.clone())
@@ -167,14 +166,17 @@ fn best_methods<'a>(setting: &'a Setting, references: &[&str]) -> Vec<&'a StudyV
     };
     let mut families = VariantFamily::group(setting);
     families.sort_by(|a, b| best(a).total_cmp(&best(b)));
-    let has_reference =
-        |family: &VariantFamily<'_>| family.variants.iter().any(|v| references.contains(&v.label.as_str()));
-    families.sort_by_key(|family| !has_reference(family));
+    families.sort_by_key(|family| !has_label(family, references));
     families.into_iter().take(CURVES).flat_map(|family| family.variants).collect()
 }
 
+/// Returns whether a variant of the method has one of the `labels`.
+pub(super) fn has_label(family: &VariantFamily<'_>, labels: &[&str]) -> bool {
+    family.variants.iter().any(|variant| labels.contains(&variant.label.as_str()))
+}
+
 /// Returns the variant of each method that is best by the first metric.
-pub(super) fn best_variants(setting: &Setting) -> Vec<&StudyVariant> {
+fn best_variants(setting: &Setting) -> Vec<&StudyVariant> {
     let by_cost = |a: &&StudyVariant, b: &&StudyVariant| cost(setting, a).total_cmp(&cost(setting, b));
     let families = VariantFamily::group(setting);
     families.iter().filter_map(|family| family.variants.iter().copied().min_by(by_cost)).collect()

@@ -111,10 +111,9 @@ fn reference_is_one_row_or_one_per_setting_of_the_other_axes() {
         variant.label = label.into();
     }
     let comparison = Comparison::new(&study.settings[0]);
-    let ssim = comparison.metric("ssim").unwrap();
     let pairs = |label| -> Vec<[&str; 2]> {
         let reference = Reference::find(&comparison, label).unwrap();
-        reference.differences(&comparison, &[ssim]).iter().map(|d| [d.row.label, d.reference.label]).collect()
+        reference.differences(&comparison).iter().map(|d| [d.row.label, d.reference.label]).collect()
     };
     assert_eq!(pairs("A"), [[labels[1], labels[0]], [labels[3], labels[2]]], "baselines have no N");
     assert_eq!(pairs("pruner B"), [[labels[0], labels[1]], [labels[2], labels[3]]]);
@@ -124,7 +123,7 @@ fn reference_is_one_row_or_one_per_setting_of_the_other_axes() {
     assert!(Reference::find(&comparison, "C").is_none());
     let reference = Reference::find(&comparison, "A").unwrap();
     let figure =
-        differences::figure(&study.settings[0], "SSIM", &reference, &reference.differences(&comparison, &[ssim]));
+        differences::figure(&study.settings[0], ("ssim", "SSIM"), &reference, &reference.differences(&comparison));
     let figure = figure.unwrap();
     assert!(figure.caption.contains("minus A at equal other settings"), "{}", figure.caption);
     assert!(outside::take().1.is_empty());

@@ -1,7 +1,7 @@
 //! First metric and rate ratio against N, bytes and milliseconds: figure 2b of the paper, and methods at equal N.
 
 use super::Figure;
-use super::shown::{CURVES, grey_baselines};
+use super::shown::{CURVES, grey_baselines, has_label};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
@@ -151,11 +151,15 @@ pub(super) fn pareto_figure<const K: usize>(setting: &Setting, references: &[&st
         ParetoComparison::of(setting)?.families.into_iter().partition(is_worst);
     let left_out: Vec<String> = left_out.into_iter().map(|family| family.name).collect();
     let last = families.len().checked_sub(1)?;
-    let (mut lines, mut others) = (Vec::new(), Vec::new());
+    let (mut lines, mut others, mut further) = (Vec::new(), Vec::new(), 0);
     for (k, family) in families.iter().enumerate() {
-        let is_reference = k != last && family.variants.iter().any(|v| references.contains(&v.label.as_str()));
-        let is_shown = k < SHOWN || k == last || is_reference;
-        let style = if is_reference { k.min(SHOWN + 1) } else { k.min(SHOWN) };
+        let is_shown = k < SHOWN || k == last || has_label(family, references);
+        // The last method has the style after the best ones; references follow.
+        let mut style = k.min(SHOWN);
+        if is_shown && k >= SHOWN && k != last {
+            further += 1;
+            style += further;
+        }
         let line = family_line(family, style, cost, headline.key, is_shown);
         if is_shown { lines.extend(line) } else { others.extend(line) }
     }

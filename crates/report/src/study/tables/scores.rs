@@ -262,11 +262,16 @@ pub(in super::super) fn difference_table(
     metrics: &[&MetricRow],
     differences: &[RowDifferences<'_>],
 ) -> Option<Table> {
-    let seeds = || differences.iter().filter_map(|d| d.by_metric.iter().flatten().map(|d| d.seeds).max());
+    let by_metric =
+        |d: &RowDifferences<'_>| metrics.iter().map(|m| d.by_key.get(m.key.as_str()).copied()).collect::<Vec<_>>();
+    let rows: Vec<(&ComparisonRow<'_>, Vec<Option<Difference>>)> =
+        differences.iter().map(|d| (d.row, by_metric(d))).collect();
+    let seeds = || rows.iter().filter_map(|(_, row)| row.iter().flatten().map(|d| d.seeds).max());
     let (least, most) = (seeds().min()?, seeds().max()?);
-    let line = |d: &RowDifferences<'_>| {
+    let line = |(row, differences): &(&ComparisonRow<'_>, Vec<Option<Difference>>)| {
         let cell = |d: &Option<Difference>| d.as_ref().map_or_else(FormattedValue::default, difference_cell);
-        TableLine::new(d.row, d.by_metric.iter().map(cell).collect())
+        let has_any = differences.iter().any(Option::is_some);
+        has_any.then(|| TableLine::new(row, differences.iter().map(cell).collect()))
     };
     let equal = if reference.is_by_axis { ", at equal other settings" } else { "" };
     let column = |m: &&MetricRow| {
@@ -278,7 +283,7 @@ pub(in super::super) fn difference_table(
         name: "differences",
         title: table_title(&format!("Paired differences from {}{equal}", reference.label), comparison.setting),
         columns: metrics.iter().map(column).collect(),
-        lines: differences.iter().map(line).collect(),
+        lines: rows.iter().filter_map(line).collect(),
         legend: Vec::new(),
     };
     let words = context! {
