@@ -98,7 +98,10 @@ fn plan_takes_models_and_floors() {
     refuse(here, &["plan", "run", "--count", "1", "--out", "no"], 2, &["a model has no candidates", "--candidates"]);
     let floor = ["plan", "--floor", "office", "--step", "1", "--count", "4", "--out", "floor"];
     let output = stdout(&succeed(here, &floor));
-    assert!(output.contains("0 known measurements") && output.contains("length scale 1.720 m"), "{output}");
+    assert!(
+        output.contains("0 known measurements") && output.contains("length scale 1.720 m (assumed: a fifth"),
+        "{output}"
+    );
     refuse(here, &["plan", "--floor", "office", "--step", "0", "--count", "4"], 2, &["scene `office`", "step"]);
 }
 

@@ -57,6 +57,11 @@ impl Scene {
         (0..count).map(|receiver| self.fixed_end(receiver)).collect()
     }
 
+    /// Returns the positions of [`Self::fixed_ends`] that the data state, not estimated ones; metres, user's frame.
+    pub fn known_ends(&self) -> Vec<[f64; 3]> {
+        known_ends(self.origin, self.moving, self.transmitter, &self.receivers)
+    }
+
     /// Returns the pose of the fixed end of links at a receiver, as [`Self::fixed_ends`]; that of the first receiver if there
     /// is none of this index.
     pub fn fixed_end(&self, receiver: usize) -> Pose {
@@ -67,6 +72,21 @@ impl Scene {
         let centre = || [0, 1, 2].map(|k| f64::midpoint(low[k] as f64, high[k] as f64));
         Pose { position: self.transmitter.unwrap_or_else(centre), ..self.receivers[0].pose }
     }
+}
+
+/// Returns the positions of the ends that do not move, without estimated and unknown ones; metres, user's frame. `transmitter`
+/// and `receivers` are relative to `origin`.
+pub(crate) fn known_ends(
+    origin: Origin,
+    moving: End,
+    transmitter: Option<[f64; 3]>,
+    receivers: &[Receiver],
+) -> Vec<[f64; 3]> {
+    let known = match moving {
+        End::Transmitter => receivers.iter().filter(|r| !r.is_estimated).map(|r| r.pose.position).collect(),
+        End::Receiver => Vec::from_iter(transmitter),
+    };
+    known.into_iter().map(|position| origin.world_pose(Pose { position, ..Pose::IDENTITY }).position).collect()
 }
 
 /// End of a link.
@@ -460,5 +480,15 @@ mod tests {
         let message = position_fault([0.0, 1e308, 0.0]).unwrap();
         assert_eq!(message, "is 1e308 m, beyond 1e8 m; write three numbers in metres");
         assert_eq!(position_fault([f64::NAN, 0.0, 0.0]).unwrap(), "is not finite; write three numbers in metres");
+    }
+
+    #[test]
+    fn known_ends_are_fixed_and_not_estimated() {
+        let at = |x: f64| Receiver::new("r", Pose { position: [x, 0.0, 0.0], ..Pose::IDENTITY });
+        let receivers = [at(1.0), Receiver { is_estimated: true, ..at(2.0) }];
+        let ends = |moving, transmitter| known_ends(Origin([10.0, 0.0, 0.0]), moving, transmitter, &receivers);
+        assert_eq!(ends(End::Transmitter, None), [[11.0, 0.0, 0.0]]);
+        assert_eq!(ends(End::Receiver, Some([3.0, 1.0, 0.0])), [[13.0, 1.0, 0.0]]);
+        assert!(ends(End::Receiver, None).is_empty());
     }
 }

@@ -1,6 +1,7 @@
 //! `MeasurementSetup`: receivers and measurement type of data, as a model needs them. `LinkInputs`: links as a method
 //! reads them.
 
+use crate::scene::known_ends;
 use crate::{
     Conditions, Dataset, Elevation, End, Geodetic, ImagePlane, Link, Origin, Pose, Query, Real, Receiver, Scene, Task,
     Vec3,
@@ -51,6 +52,11 @@ impl MeasurementSetup {
     /// receivers, it is [`Pose::IDENTITY`].
     pub fn pose(&self) -> Pose {
         self.receivers.first().map_or(Pose::IDENTITY, |receiver| receiver.pose)
+    }
+
+    /// Returns the positions of the ends that do not move, without estimated and unknown ones; metres, user's frame.
+    pub fn known_ends(&self) -> Vec<[f64; 3]> {
+        known_ends(self.origin, self.moving, self.transmitter, &self.receivers)
     }
 
     /// Returns the position of the fixed end of links with a receiver, metres from the origin; `None` if it is a transmitter of

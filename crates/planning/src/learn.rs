@@ -37,8 +37,14 @@ pub fn learn_correlation(data: &Dataset, transmitters: &[usize]) -> Option<Corre
     let position = |i: usize| spatial_place(data.sample(i).position());
     let values = |_: usize, i: usize| trends[data.links[i].receiver].residual_values(i, VALUES);
     let cases = HeldOutCases::new(&cases, Mean::Unknown, position, values);
-    let reach = box_diagonal(&sorted.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>());
+    let reach = longest_length(data, transmitters);
     (reach > 0.0).then(|| most_likely(&cases, reach))
+}
+
+/// Returns the longest length scale that [`learn_correlation`] tries, metres: the diagonal of the smallest box around these
+/// transmitters. An estimate of this length means that the measurements do not determine it.
+pub fn longest_length(data: &Dataset, transmitters: &[usize]) -> f64 {
+    box_diagonal(&transmitters.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>())
 }
 
 /// Returns the most likely exponential correlation with a length scale from 1/64 to once `reach` (metres), in steps of

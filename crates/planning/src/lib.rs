@@ -23,7 +23,7 @@ pub use coverage::{
     strongest_powers, subset_coverage,
 };
 pub use farthest::select_farthest;
-pub use learn::{kriging_scores, learn_correlation};
+pub use learn::{kriging_scores, learn_correlation, longest_length};
 #[cfg(feature = "raytrace")]
 pub use scene::{SceneCoverage, floor_grid};
 pub use survey::{Survey, SurveyPlan, default_correlation};

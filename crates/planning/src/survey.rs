@@ -63,6 +63,8 @@ pub struct SurveyPlan {
     pub order: Vec<usize>,
     /// Correlation at the end.
     pub correlation: Correlation,
+    /// Number of selected candidates, the first ones, that the correlation was learned from; 0 if it was not.
+    pub learned_from: usize,
 }
 
 impl Survey {
@@ -98,7 +100,7 @@ impl Survey {
         learn: impl Fn(&[usize]) -> Option<Correlation>,
         mut progress: impl FnMut(usize) -> bool,
     ) -> SurveyPlan {
-        let mut plan = SurveyPlan { order: Vec::new(), correlation };
+        let mut plan = SurveyPlan { order: Vec::new(), correlation, learned_from: 0 };
         let count = count.min(self.candidates);
         let mut search = self.start_search(&plan);
         loop {
@@ -114,9 +116,12 @@ impl Survey {
             if until == count {
                 return plan;
             }
-            if let Some(learned) = learn(&plan.order).filter(|learned| *learned != plan.correlation) {
-                plan.correlation = learned;
-                search = self.start_search(&plan);
+            if let Some(learned) = learn(&plan.order) {
+                plan.learned_from = plan.order.len();
+                if learned != plan.correlation {
+                    plan.correlation = learned;
+                    search = self.start_search(&plan);
+                }
             }
         }
     }
@@ -358,8 +363,8 @@ mod tests {
         };
         let plan = survey.select(exponential(1.0, 0.1), 40, learn, |_| true);
         assert_eq!(
-            (calls.into_inner(), plan.order.len(), plan.correlation),
-            (vec![8, 16, 32], 40, exponential(0.3, 0.2))
+            (calls.into_inner(), plan.order.len(), plan.correlation, plan.learned_from),
+            (vec![8, 16, 32], 40, exponential(0.3, 0.2), 32)
         );
         assert_eq!(survey.select(exponential(1.0, 0.1), 40, |_| None, |done| done < 5).order.len(), 5);
     }

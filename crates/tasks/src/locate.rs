@@ -12,7 +12,7 @@ pub use known::read_known_pipeline;
 pub use observations::UnlocatedObservations;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Geodetic, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, Geodetic, Result};
 use pwrfgs_experiment::text::{align_columns, fixed, grouped};
 use pwrfgs_experiment::{Observer, SplitData, check_alike, run_stage};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
@@ -270,12 +270,11 @@ fn flat(position: [f64; 3]) -> [f64; 2] {
     [position[0], position[1]]
 }
 
-/// Creates a map of training positions and receivers, without samples.
+/// Creates a map of training positions, and of receivers of known position, without samples.
 fn empty_map(locator: &Locator<'_>, data: &Dataset) -> LocationMap<'static> {
-    let receiver_point = |receiver: &Receiver| flat(data.scene.origin.world_pose(receiver.pose).position);
     LocationMap {
         training: locator.positions().iter().map(|position| flat(*position)).collect(),
-        receivers: data.scene.receivers.iter().map(receiver_point).collect(),
+        receivers: data.scene.known_ends().into_iter().map(flat).collect(),
         ..LocationMap::default()
     }
 }

@@ -1,14 +1,16 @@
 //! Positions to measure next.
 
 mod checks;
+mod correlation;
 
 use crate::plane::PlaneBounds;
 use checks::{MOST, check_count, check_distance};
 use clap::Args;
+use correlation::{describe_length, first_correlation};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::statistics::{self, evenly, mean};
-use pwrfgs_core::{Dataset, Error, Location, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, Location, Result};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
 use pwrfgs_experiment::text::{Lines, align_columns, fixed, grouped, number};
 use pwrfgs_experiment::{Session, run_stage};
@@ -67,8 +69,8 @@ pub struct PlanInput {
     pub candidates: Vec<[f64; 3]>,
     /// Positions with measurements.
     pub measured: Vec<[f64; 3]>,
-    /// Receivers.
-    pub receivers: Vec<[f64; 3]>,
+    /// Ends of the links that do not move, usually receivers, without estimated positions.
+    pub fixed: Vec<[f64; 3]>,
     /// Observations at `measured`, or at the candidates if that is empty.
     pub data: Option<Dataset>,
 }
@@ -83,11 +85,10 @@ impl PlanInput {
             let problem = "the data have no transmitter positions; name data with positions";
             return Err(Error::Config(problem.into()));
         }
-        let position = |receiver: &Receiver| data.scene.origin.world_pose(receiver.pose).position;
         Ok(Self {
             title: data.title.clone(),
             candidates: data.locations.iter().map(Location::position).collect(),
-            receivers: data.scene.receivers.iter().map(position).collect(),
+            fixed: data.scene.known_ends(),
             measured: Vec::new(),
             data: Some(data),
         })
@@ -97,9 +98,12 @@ impl PlanInput {
     pub fn of_model(ensemble: &Ensemble, title: &str) -> Option<Self> {
         let measured = ensemble.training_positions();
         let setup = &ensemble.members()[0].stages.setup;
-        let receivers = setup.receivers.iter();
-        let receivers = receivers.map(|receiver| setup.origin.world_pose(receiver.pose).position).collect();
-        (!measured.is_empty()).then(|| Self { title: title.into(), measured, receivers, ..Self::default() })
+        (!measured.is_empty()).then(|| Self {
+            title: title.into(),
+            measured,
+            fixed: setup.known_ends(),
+            ..Self::default()
+        })
     }
 
     /// Returns the input with new `candidates`; `path` names them in messages. Earlier candidates become known measurements, of
@@ -156,7 +160,8 @@ pub fn plan(input: &PlanInput, settings: &PlanSettings, session: &mut Session<'_
     session.check_stopped()?;
     let candidates: Vec<[f64; 3]> = subset.iter().map(|&j| input.candidates[j]).collect();
     let survey = Survey::new(&candidates, &region, &input.measured);
-    let start = first_correlation(settings, input, &region)?;
+    let measured = input.data.as_ref().filter(|_| !input.measured.is_empty());
+    let start = first_correlation(settings.length_scale, measured, &region)?;
     let candidate_indices = |order: &[usize]| order.iter().map(|&j| subset[j]).collect::<Vec<usize>>();
     let learn = |order: &[usize]| {
         input
@@ -175,7 +180,13 @@ pub fn plan(input: &PlanInput, settings: &PlanSettings, session: &mut Session<'_
     let mut choices = list_choices(&survey, &selected, settings.seed);
     choices.iter_mut().for_each(|choice| choice.order = candidate_indices(&choice.order));
     let gain = score_choices(&mut choices, input, session)?;
-    let text = format_table(&choices, gain, &selected.correlation, input);
+    let correlations = [&selected.correlation, &default_correlation(&region)];
+    let learned = &choices[0].order[..selected.learned_from];
+    let origin = match settings.length_scale {
+        Some(_) => "",
+        None => describe_length(input.data.as_ref(), correlations, learned),
+    };
+    let text = format_table(&choices, gain, (&selected.correlation, origin), input);
     let Choice { order, variances, .. } = choices.swap_remove(0);
     Ok(Plan { order, variances, text })
 }
@@ -197,21 +208,6 @@ fn select_region(settings: &PlanSettings, input: &PlanInput) -> Result<Vec<[f64;
         )));
     }
     Ok(region)
-}
-
-/// Returns the correlation of the first step: of `--length-scale`, else learned from known measurements, else the
-/// default of the region. An invalid length is an error.
-fn first_correlation(settings: &PlanSettings, input: &PlanInput, region: &[[f64; 3]]) -> Result<Correlation> {
-    let default = default_correlation(region);
-    if let Some(length) = settings.length_scale {
-        if !(1e-6..=1e8).contains(&length) {
-            return Err(Error::Config(format!("--length-scale {length}: expected metres, more than 0, such as 0.5")));
-        }
-        return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
-    }
-    let measured = input.data.as_ref().filter(|_| !input.measured.is_empty());
-    let learned = measured.and_then(|data| learn_correlation(data, &(0..data.locations.len()).collect::<Vec<_>>()));
-    Ok(learned.unwrap_or(default))
 }
 
 /// Selection of positions with its results.
@@ -303,15 +299,21 @@ impl Plan {
             candidates: input.candidates.iter().map(flat).collect(),
             known: input.measured.iter().map(flat).collect(),
             selected: self.order.iter().map(|&j| flat(&input.candidates[j])).collect(),
-            receivers: input.receivers.iter().map(flat).collect(),
+            receivers: input.fixed.iter().map(flat).collect(),
         };
         folder.put("plan.csv", lines.text())?;
         folder.put("plan.png", map.draw().png(WIDTH_MM))
     }
 }
 
-/// Formats the table of the choices, with the correlation and a comparison with the regular choice.
-fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, input: &PlanInput) -> String {
+/// Formats the table of the choices, with the correlation, the origin of its length scale and a comparison with the regular
+/// choice.
+fn format_table(
+    choices: &[Choice],
+    gain: Option<Difference>,
+    (correlation, origin): (&Correlation, &str),
+    input: &PlanInput,
+) -> String {
     let task = input.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
     let mut header = vec!["choice".to_owned(), "mean variance".into()];
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
@@ -325,7 +327,7 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
     let mut text = align_columns(&lines, 1);
     _ = write!(
         text,
-        "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",
+        "\n{} candidates, {} known measurements; exponential correlation, length scale {} m{origin}, noise {} of the variance\n",
         grouped(input.candidates.len() as i64),
         grouped(input.measured.len() as i64),
         number(*length),

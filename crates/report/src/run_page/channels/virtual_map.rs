@@ -88,9 +88,7 @@ fn draw_view(run: &LoadedRun<'_>, sources: &[MappedSource], axes: [usize; 2]) ->
             outside += 1;
         }
     }
-    for pose in scene.fixed_ends().into_iter().filter(|_| scene.has_distances()) {
-        plan.draw_receiver(&mut canvas, flat(scene.origin.world_pose(pose).position));
-    }
+    scene.known_ends().into_iter().for_each(|position| plan.draw_receiver(&mut canvas, flat(position)));
     plan.draw_axes(&mut canvas);
     (FloorPlan::centred_in(&canvas, WIDTH), outside)
 }
