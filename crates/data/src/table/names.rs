@@ -4,14 +4,14 @@ use crate::text::split_unit;
 use std::collections::{BTreeSet, HashSet};
 
 /// Coordinates across, metres.
-pub(super) const X: &str =
-    "x xm xpos posx xcoord coordx xcoordinate xposition positionx locx txx uex east easting ecoord";
+pub(super) const X: &str = "x xm xmeters xmetres xpos xposm posx posxm xcoord coordx xcoordinate xposition positionx locx txx \
+    uex east easting ecoord";
 /// Coordinates along, metres.
-pub(super) const Y: &str =
-    "y ym ypos posy ycoord coordy ycoordinate yposition positiony locy txy uey north northing ncoord";
+pub(super) const Y: &str = "y ym ymeters ymetres ypos yposm posy posym ycoord coordy ycoordinate yposition positiony locy txy \
+    uey north northing ncoord";
 /// Heights, metres.
-pub(super) const Z: &str = "z zm zpos posz zcoord coordz zposition positionz locz txz uez height heightm alt altitude altitudem \
-    altitudemeters elevation hcoord";
+pub(super) const Z: &str = "z zm zmeters zmetres zpos zposm posz poszm zcoord coordz zposition positionz locz txz \
+    uez height heightm alt altitude altitudem altitudemeters elevation hcoord";
 /// Latitudes.
 pub(super) const LAT: &str = "lat latitude gpslat gpslatitude currentlatitude latdeg txlat";
 /// Longitudes.

@@ -59,6 +59,7 @@ fn all_dialects_of_one_table_give_equal_links() {
         format!("#{LONG}"),
         format!("WigleWifi-1.4,appRelease=1,model=x\n{LONG}"),
         LONG.replace("x,y,z", "\"X [m]\",\"Y (m)\",Height"),
+        LONG.replace("x,y,z", "pos_x_m,pos_y_m,z_metres"),
         format!("{LONG}4,4,1.2,a,0,0,2.5,NaN\n4,4,1.2,b,8,0,2.5,\n4,2,1.2,b,8,0,2.5,NA\n4,6,1.2,b,8,0,2.5,-\n"),
         format!("{LONG}4,4,1.2,a,0,0,2.5,null\n4,4,1.2,a,1e-7,0,2.5,none\n"),
     ];
