@@ -259,7 +259,7 @@ fn runs_with_different_validation_sets_share_table() {
     let floors = |n| [("mean spectrum", n), ("Kriging", n)];
     let expected = [
         setting(
-            "Official(validation: 0.0) and Official(validation: 0.4)",
+            "Official(validation: 0.0) and Official(validation: 0.4) of the simulation",
             [&[("all", "32"), ("held", "19")], &floors("32")],
         ),
         setting("Random(test: 0.3, validation: 0.1)", [&[("other", "25")], &floors("28")]),

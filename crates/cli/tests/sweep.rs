@@ -362,7 +362,7 @@ fn small_twin_of_the_paper_has_its_figures_and_table() {
     }
     let n = means(&text, "gaussians");
     for start in ["masks", "masks on point cloud"] {
-        let falling = ["0.01", "0.03", "0.06", "0.075"].map(|lambda| n[&format!("row {start} λ {lambda}")]);
+        let falling = ["0.01", "0.03", "0.06", "0.075"].map(|lambda| n[&format!("{start} λ {lambda}")]);
         assert!(falling.is_sorted_by(|more, less| more > less), "{start}: {falling:?}");
     }
 }

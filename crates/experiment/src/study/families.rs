@@ -1,8 +1,9 @@
 //! `VariantFamily`: variants of one strategy, which differ in numbers only. `ParetoComparison`: strategies at the same
 //! numbers of Gaussians.
 
-use super::setting::{Setting, StudyVariant};
+use super::setting::{Setting, StudyVariant, distinct};
 use crate::statistics::Spread;
+use crate::text::grouped;
 
 /// Smallest number of strategies for a comparison.
 const LEAST_FAMILIES: usize = 4;
@@ -16,6 +17,8 @@ pub struct ParetoComparison<'a> {
     pub numbers: Vec<usize>,
     /// Strategies by mean rank, best first, in the order of the plan for ties.
     pub families: Vec<VariantFamily<'a>>,
+    /// Whether a strategy has several variants at one of the numbers; the best of them is ranked.
+    pub has_several_at_one: bool,
 }
 
 /// Strategy: variants whose labels differ only in numbers.
@@ -34,13 +37,17 @@ pub struct VariantFamily<'a> {
 }
 
 impl<'a> VariantFamily<'a> {
-    /// Groups the variants of a setting into strategies, in the order of the plan, without results.
+    /// Groups the variants of a setting into strategies, in the order of the plan, without results. A strategy that two sweeps
+    /// train for different numbers of steps is one per number, which all names then state.
     pub fn group(setting: &'a Setting) -> Vec<Self> {
+        let has_lengths = has_sweeps_of_other_length(setting);
+        let length = |variant: &StudyVariant| variant.runs[0].pipeline.training.steps;
         let mut families: Vec<Self> = Vec::new();
         for variant in &setting.variants {
             let name = family_name(&variant.label);
             let value = family_value(&variant.label, &name);
-            match families.iter_mut().find(|family| family.name == name) {
+            let is_same_length = |other: &Self| !has_lengths || length(other.variants[0]) == length(variant);
+            match families.iter_mut().find(|family| family.name == name && is_same_length(family)) {
                 Some(family) => {
                     family.variants.push(variant);
                     family.values.push(value);
@@ -54,12 +61,19 @@ impl<'a> VariantFamily<'a> {
                 }),
             }
         }
-        let prefix = if families.len() > 1 { shorten_names(&mut families) } else { String::new() };
+        let name_count = distinct(families.iter().map(|family| &family.name)).len();
+        let states_length = name_count < families.len();
+        let prefix = if name_count > 1 { shorten_names(&mut families) } else { String::new() };
         for family in &mut families {
             family.title = match family.variants[..] {
                 [only] => only.label.strip_prefix(&prefix).unwrap_or(&only.label).to_owned(),
                 _ => family.name.clone(),
             };
+            if states_length {
+                let steps = format!(", {} steps", grouped(length(family.variants[0]) as i64));
+                family.name += &steps;
+                family.title += &steps;
+            }
         }
         families
     }
@@ -69,6 +83,15 @@ impl<'a> VariantFamily<'a> {
         let ranks: Vec<f64> = self.results.iter().flatten().map(|(_, rank)| *rank as f64).collect();
         if ranks.is_empty() { f64::INFINITY } else { ranks.iter().sum::<f64>() / ranks.len() as f64 }
     }
+}
+
+/// Returns whether the variants are of several sweeps, which the axis without a name distinguishes, and of several training
+/// lengths.
+fn has_sweeps_of_other_length(setting: &Setting) -> bool {
+    let sweep = |variant: &StudyVariant| variant.axes.iter().find(|(axis, _)| axis.is_empty()).cloned();
+    let length = |variant: &StudyVariant| variant.runs.first().map(|run| run.pipeline.training.steps);
+    let variants = || setting.variants.iter();
+    distinct(variants().map(sweep)).len() > 1 && distinct(variants().map(length)).len() > 1
 }
 
 /// Returns the label without numbers and their symbols, and without axes that are a word and a number: `masks` for
@@ -129,11 +152,17 @@ impl<'a> ParetoComparison<'a> {
         if families.len() < LEAST_FAMILIES || numbers.len() < LEAST_NUMBERS {
             return None;
         }
-        let score = |variant: &StudyVariant| variant.score(headline.key);
+        let mut has_several_at_one = false;
         for &n in &numbers {
-            let variants =
-                families.iter().map(|family| family.variants.iter().find(|v| common_gaussians(v) == Some(n)));
-            let scores: Vec<Option<Spread>> = variants.map(|variant| score(variant?)).collect();
+            let at_n = |family: &VariantFamily<'_>| -> Vec<Spread> {
+                let variants = family.variants.iter().filter(|v| common_gaussians(v) == Some(n));
+                variants.filter_map(|variant| variant.score(headline.key)).collect()
+            };
+            let scores: Vec<Vec<Spread>> = families.iter().map(at_n).collect();
+            has_several_at_one |= scores.iter().any(|scores| scores.len() > 1);
+            let cost = |score: &Spread| headline.cost(score.mean);
+            let best = |scores: Vec<Spread>| scores.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)));
+            let scores: Vec<Option<Spread>> = scores.into_iter().map(best).collect();
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
             for (family, score) in families.iter_mut().zip(&scores) {
                 let rank = |score: Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, score.mean)).count();
@@ -141,7 +170,7 @@ impl<'a> ParetoComparison<'a> {
             }
         }
         families.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
-        Some(Self { numbers, families })
+        Some(Self { numbers, families, has_several_at_one })
     }
 }
 

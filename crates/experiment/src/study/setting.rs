@@ -191,7 +191,11 @@ pub(super) fn group_by_setting(records: Vec<(Labels, Record)>) -> Result<Vec<Set
     for (key, group) in groups {
         let splits = distinct(group.iter().map(|(_, record)| ron_line(&record.pipeline.split)));
         let (_, Record { facts, .. }) = &group[0];
-        let (title, simulated) = (format!("{}; {}", facts.data, splits.join(" and ")), facts.simulated);
+        let simulated = facts.simulated;
+        // Of measured data, `Official` is a published split.
+        let is_own = simulated && splits.iter().any(|split| split.starts_with("Official"));
+        let title =
+            format!("{}; {}{}", facts.data, splits.join(" and "), if is_own { " of the simulation" } else { "" });
         settings.push((key, Setting { title, simulated, variants: group_by_variant(group)? }));
     }
     distinguish_titles(&mut settings);
@@ -244,16 +248,25 @@ fn group_by_variant(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
     Ok(variants.into_iter().zip(names).map(variant).collect())
 }
 
-/// Names the variants by the axes on which they differ, and the sweep if needed.
+/// Names the variants by the axes on which they differ, and the sweep if needed. Words on a single axis need no name of it.
 fn variant_names(variants: &[&Labels]) -> Vec<String> {
     let label_on = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
     let differ = |axis: &str| variants.iter().any(|labels| label_on(labels, axis) != label_on(variants[0], axis));
+    let axes = distinct(variants.iter().flat_map(|labels| labels.iter().map(|(axis, _)| axis.as_str())));
+    let differing: Vec<&str> = axes.into_iter().filter(|axis| !axis.is_empty() && differ(axis)).collect();
+    if let [axis] = differing[..] {
+        let words: Vec<String> = variants.iter().filter_map(|labels| label_on(labels, axis)).collect();
+        let is_word = |word: &String| word.starts_with(char::is_alphabetic);
+        if words.len() == variants.len() && words.iter().all(is_word) && distinct(&words).len() == words.len() {
+            return words;
+        }
+    }
     let name = |labels: &Labels, is_wanted: &dyn Fn(&str) -> bool| {
         let words = labels.iter().filter(|(axis, _)| is_wanted(axis));
         words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
     };
     // A name that is empty or not unique is replaced by all labels, among them the name of the sweep.
-    let short: Vec<String> = variants.iter().map(|l| name(l, &|axis| !axis.is_empty() && differ(axis))).collect();
+    let short: Vec<String> = variants.iter().map(|l| name(l, &|axis| differing.contains(&axis))).collect();
     let clear = |k: usize| !short[k].is_empty() && short.iter().filter(|other| **other == short[k]).count() == 1;
     (0..short.len()).map(|k| if clear(k) { short[k].clone() } else { name(variants[k], &|_| true) }).collect()
 }
@@ -302,7 +315,7 @@ mod tests {
         let two = names_of(&[&[lambda, ("lambda", "0")], &[lambda, ("lambda", "1")], &[epsilon, ("epsilon", "0.1")]]);
         assert_eq!(two, ["lambda 0", "lambda 1", "epsilon 0.1"]);
         let axes = names_of(&[&[("a", "x"), ("b", "1"), ("c", "z")], &[("a", "y"), ("b", "1"), ("c", "z")]]);
-        assert_eq!(axes, ["a x", "a y"]);
+        assert_eq!(axes, ["x", "y"]);
         let twins = names_of(&[&[("", "p"), ("a", "x")], &[("", "q"), ("a", "x")], &[("", "q"), ("a", "y")]]);
         assert_eq!(twins, ["p, a x", "q, a x", "a y"]);
         assert_eq!(names_of(&[&[("a", "x")]]), ["a x"]);

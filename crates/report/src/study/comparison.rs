@@ -265,6 +265,17 @@ impl<'a> Comparison<'a> {
         warnings
     }
 
+    /// Warns of times that the runs measured on a machine with other load; `None` without such times.
+    pub(super) fn unsteady_times_warning(&self) -> Option<String> {
+        let (total, count) = (self.setting.runs().count(), self.setting.runs().filter(|run| is_unsteady(run)).count());
+        (count > 0).then(|| {
+            format!(
+                "Latency is unreliable: the machine had other load in {count} of {total} runs. Repeat `pwrfgs evaluate RUN` \
+                 on an idle machine."
+            )
+        })
+    }
+
     /// Returns the groups of variants with bit-identical models, by label.
     pub(super) fn twin_groups(&self) -> Vec<String> {
         let group = |first: &ComparisonRow<'a>| {
@@ -274,7 +285,8 @@ impl<'a> Comparison<'a> {
         self.rows.iter().map(group).filter(|group| group.len() > 1).map(|group| group.join(" ≡ ")).collect()
     }
 
-    /// Returns the notes of all predictors of the setting, each once; notes on the model of a run name its variant.
+    /// Returns the notes of all predictors of the setting, each once, without those of [`Self::unsteady_times_warning`]; notes on
+    /// the model of a run name its variant.
     pub(super) fn notes(&self) -> Vec<String> {
         let named = |(label, note): (&'a str, &String)| match note.split_once(" at the coverage of model)") {
             // A baseline has one width per model.
@@ -287,13 +299,24 @@ impl<'a> Comparison<'a> {
                 .runs
                 .iter()
                 .enumerate()
-                .flat_map(|(k, run)| run.scores.table.notes.iter().map(move |note| (k, note)));
+                .flat_map(|(k, run)| run.scores.table.notes.iter().map(move |note| (k, note)))
+                .filter(|(_, note)| !is_unsteady_note(note));
             // Intervals of further seeds are similar.
             let first = of_seeds.filter(|(k, note)| *k == 0 || !note.starts_with("90 % intervals"));
             first.map(|(_, note)| (variant.label.as_str(), note))
         });
         distinct(notes.map(named))
     }
+}
+
+/// Returns whether a note says that times are not steady, as `Latency` writes it.
+fn is_unsteady_note(note: &str) -> bool {
+    note.contains(": not steady: ")
+}
+
+/// Returns whether any time of a run is not steady.
+fn is_unsteady(run: &Record) -> bool {
+    run.scores.table.notes.iter().any(|note| is_unsteady_note(note))
 }
 
 /// Returns a row per baseline, sorted by type, with the first run of each seed.

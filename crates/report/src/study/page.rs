@@ -143,6 +143,7 @@ impl Section {
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.missing_score_warnings());
         warnings.extend(comparison.ambiguous_baseline_warnings());
+        warnings.extend(comparison.unsteady_times_warning());
         warnings.extend(drawn.left_out);
         let metrics = tables::compared_metrics(comparison);
         let first = metrics.first().and_then(|metric| {
@@ -195,6 +196,7 @@ fn lead_sentences(comparison: &Comparison<'_>, absent: Option<&str>, reference: 
             machines => distinct(setting.runs().map(describe_machine)),
             programs => distinct(setting.runs().map(describe_program)),
             precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
+            lengths => distinct(setting.runs().map(|r| grouped(r.pipeline.training.steps as i64))),
             absent,
             reference,
             twins => comparison.twin_groups(),

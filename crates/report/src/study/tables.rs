@@ -147,7 +147,7 @@ pub(super) fn rank_table(setting: &Setting) -> Option<Table> {
     let mut table =
         Table { name: "ranks", title: table_title("Ranks at equal N", setting), columns, lines, legend: Vec::new() };
     let (least, most) = setting.seed_counts();
-    table.legend =
-        render_sentences("legend.txt", context! { name => "ranks", families => pareto.families.len(), least, most });
+    let (families, several) = (pareto.families.len(), pareto.has_several_at_one);
+    table.legend = render_sentences("legend.txt", context! { name => "ranks", families, least, most, several });
     Some(table)
 }

@@ -3,6 +3,7 @@
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, BLACK, Canvas, INK, LINE, Paint, WHITE, text_width, wrap_text};
 use crate::draw::axes::ticks;
+use crate::study::comparison::RowKind;
 use crate::study::reference::{Reference, RowDifferences};
 use minijinja::context;
 use pwrfgs_core::statistics::bounds;
@@ -22,11 +23,14 @@ pub(in super::super) fn figure(
     reference: &Reference<'_>,
     differences: &[RowDifferences<'_>],
 ) -> Option<Figure> {
-    let rows: Vec<(&str, &Difference)> =
-        differences.iter().filter_map(|d| Some((d.row.label, d.by_key.get(key)?))).collect();
+    // Baselines are far from the variants, whose intervals would be too short to read; they are in the table.
+    let is_variant = |d: &&RowDifferences<'_>| [RowKind::Variant, RowKind::External].contains(&d.row.kind);
+    let are_several = differences.iter().any(|d| d.row.kind == RowKind::Variant);
+    let shown = differences.iter().filter(|d| !are_several || is_variant(d));
+    let rows: Vec<(&str, &Difference)> = shown.filter_map(|d| Some((d.row.label, d.by_key.get(key)?))).collect();
     let label = reference.label;
     let percent = (CONFIDENCE * 100.0).round() as u32;
-    let words = context! { label, is_by_axis => reference.is_by_axis, percent };
+    let words = context! { label, is_by_axis => reference.is_by_axis, percent, are_several };
     let draw = || draw_rows(&rows, &format!("Δ {axis} from {label}"));
     (1..=ROWS).contains(&rows.len()).then(|| Figure::new("differences", setting, words, draw()))
 }

@@ -54,7 +54,11 @@ pub(super) fn variant_lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
             let is_whole = variant.runs[0].pipeline.training.steps as f64 >= end;
             if let Some(last) = line.points.last().filter(|_| by_method && is_whole && family.variants.len() > 1) {
                 let invisible = Style { stroke: Stroke::None, ..style };
-                names.push(ChartLine::new(vec![*last], invisible).named_at_end(value));
+                let name = ChartLine::new(vec![*last], invisible).named_at_end(value);
+                // Variants of several methods may end at one N with one name.
+                if !names.iter().any(|other: &ChartLine| (&other.points, &other.name) == (&name.points, &name.name)) {
+                    names.push(name);
+                }
             }
             lines.push(line);
             if low != high {

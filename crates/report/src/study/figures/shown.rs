@@ -72,7 +72,11 @@ impl ShownVariants {
             families.iter().flat_map(|family| evenly_with_ends(&family.variants, each)).collect();
         let spread =
             (families.len() > 1 && each > 1 && variants.len() > CURVES).then(|| keep(&methods, &extremes).into());
-        Self { curves: Selection::with_short_labels(curves), panels, spread, all: all.into(), methods: methods.into() }
+        let mut curves = Selection::with_short_labels(curves);
+        if variants.len() > CURVES && families.len() > 1 {
+            curves.remarks += " Of each method, a variant is shown whose N is close to those of the others.";
+        }
+        Self { curves, panels, spread, all: all.into(), methods: methods.into() }
     }
 }
 

@@ -7,7 +7,9 @@ use super::{Figure, FigureSet, differences, draw_figures, gaussians};
 use crate::canvas::outside;
 use crate::draw::charts::LineName;
 use crate::page;
-use pwrfgs_experiment::{NoopObserver, PageBuilder, RunOutcome, Session, Study, read_pipeline, run};
+use pwrfgs_experiment::{
+    NoopObserver, PageBuilder, ParetoComparison, RunOutcome, Session, Study, StudyVariant, read_pipeline, run,
+};
 use std::path::{Path, PathBuf};
 
 const PIPELINE: &str = "Pipeline(
@@ -26,9 +28,14 @@ const PIPELINE: &str = "Pipeline(
 
 /// Trains a run with some initial Gaussians; the run `Grid 8` has a page.
 fn trained(folder: &Path, name: &str, count: usize) -> PathBuf {
+    trained_for(folder, name, count, 6)
+}
+
+/// Trains as [`trained`], for this number of steps.
+fn trained_for(folder: &Path, name: &str, count: usize, steps: usize) -> PathBuf {
     let (file, out) = (folder.join("p.ron"), folder.join(name));
     std::fs::write(&file, PIPELINE).unwrap();
-    let set = [format!("initializer=Grid(count: {count})")];
+    let set = [format!("initializer=Grid(count: {count})"), format!("training.steps={steps}")];
     let mut observer = NoopObserver;
     let mut session = Session { page: (count == 8).then_some(page as PageBuilder), ..Session::new(&mut observer) };
     let pipeline = read_pipeline(&file, &set).unwrap();
@@ -99,6 +106,43 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
 }
 
 #[test]
+fn trainings_of_other_length_are_other_strategies() {
+    let folder = tempfile::tempdir().unwrap();
+    let legend = |second: &str, steps: usize| -> Vec<LineName> {
+        let runs = [trained(folder.path(), "first", 8), trained_for(folder.path(), second, 12, steps)];
+        let mut setting = Study::read(&runs).unwrap().settings.remove(0);
+        for (variant, label) in setting.variants.iter_mut().zip(["Grid 8", "Grid 12"]) {
+            variant.label = label.into();
+        }
+        method_lines(&setting, "ssim").into_iter().map(|line| line.name).collect()
+    };
+    assert_eq!(legend("same", 6), [LineName::Legend("Grid".into())]);
+    assert_eq!(legend("longer", 9), ["Grid 8, 6 steps", "Grid 12, 9 steps"].map(|name| LineName::Legend(name.into())));
+}
+
+#[test]
+fn best_of_several_variants_at_one_number_is_ranked() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = [8, 12].map(|n| trained(folder.path(), &n.to_string(), n));
+    let mut setting = Study::read(&runs).unwrap().settings.remove(0);
+    let [few, many] = [0, 1].map(|k| setting.variants[k].clone());
+    let named = |variant: &StudyVariant, label: String| StudyVariant { label, ..variant.clone() };
+    setting.variants = ["a", "b", "c", "d"]
+        .iter()
+        .flat_map(|m| [named(&few, format!("{m} 8")), named(&many, format!("{m} 12"))])
+        .collect();
+    assert!(!ParetoComparison::of(&setting).unwrap().has_several_at_one);
+    let mut other = named(&many, "b 9".into());
+    other.runs[0].facts.gaussians = 8;
+    setting.variants.push(other);
+    let pareto = ParetoComparison::of(&setting).unwrap();
+    let scores = [&few, &many].map(|variant| variant.score("ssim").unwrap().mean);
+    let b = pareto.families.iter().find(|family| family.name == "b").unwrap();
+    assert_eq!(b.results[0].unwrap().0.mean, scores[0].max(scores[1]));
+    assert!(pareto.has_several_at_one && pareto.numbers == [8, 12]);
+}
+
+#[test]
 fn reference_is_one_row_or_one_per_setting_of_the_other_axes() {
     let folder = tempfile::tempdir().unwrap();
     let counts = [6, 7, 8, 9];
@@ -134,7 +178,8 @@ fn notes_name_their_variant_and_leave_out_widths_that_differ_by_model() {
     let folder = tempfile::tempdir().unwrap();
     let mut study = Study::read(&[trained(folder.path(), "Grid 6", 6)]).unwrap();
     let kriging = "90 % intervals of Kriging: mean width 0.22 (0.23 at the coverage of model); 84 %";
-    let notes = ["90 % intervals of model: mean width 0.2", kriging, "validation SSIM was best at step 2"];
+    let unsteady = "latency_total_ms of model: not steady: half of the predictions take 1 to 9 ms";
+    let notes = ["90 % intervals of model: mean width 0.2", kriging, "validation SSIM was best at step 2", unsteady];
     study.settings[0].variants[0].label = "mask".into();
     study.settings[0].variants[0].runs[0].scores.table.notes = notes.map(str::to_owned).into();
     let expected = [
@@ -142,5 +187,7 @@ fn notes_name_their_variant_and_leave_out_widths_that_differ_by_model() {
         "90 % intervals of Kriging: mean width 0.22; 84 %",
         "mask: validation SSIM was best at step 2",
     ];
-    assert_eq!(Comparison::new(&study.settings[0]).notes(), expected);
+    let comparison = Comparison::new(&study.settings[0]);
+    assert_eq!(comparison.notes(), expected);
+    assert!(comparison.unsteady_times_warning().unwrap().contains("other load in 1 of 1 runs"));
 }

@@ -64,9 +64,10 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
         return None; // too many variants for marks with names: the figures of methods have one line per method
     }
     let mut lines = method_lines(setting, score.key);
-    let counts = bounds(lines.iter().flat_map(|line| &line.points).map(|point| point.0));
-    // With several lines at one N, marks would hide each other.
-    if lines.is_empty() || lines.len() > 1 && counts.0 == counts.1 {
+    let counts = bounds(lines.iter().flat_map(|line| &line.marks).map(|mark| mark.0));
+    // At one N, marks would hide each other.
+    let count = lines.iter().map(|line| line.marks.len()).sum::<usize>();
+    if lines.is_empty() || count > 1 && counts.0 == counts.1 {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();
@@ -198,7 +199,8 @@ pub(super) fn method_style(family: &VariantFamily<'_>, k: usize) -> Style {
 }
 
 /// Returns the line of the `k`th method through its variants, with bars over seeds; thin and without name and bars unless
-/// `shown`. `None` if no variant has both cost and score.
+/// `shown`. Variants of equal cost, such as of two training lengths, are marks without a line. `None` if no variant has both cost
+/// and score.
 fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown: bool) -> Option<ChartLine> {
     let cost_and_score = |variant: &&StudyVariant| {
         let (cost_spread, score) = (variant.spread(cost.value)?, variant.score(key)?);
@@ -211,10 +213,12 @@ fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str,
     if points.is_empty() {
         return None;
     }
+    let is_curve = points.windows(2).all(|pair| pair[0].0 < pair[1].0);
+    let curve = if is_curve { points.clone() } else { Vec::new() };
     if !shown {
-        return Some(ChartLine::new(points, Style::thread()));
+        return Some(ChartLine::new(curve, Style::thread()));
     }
-    let mut line = ChartLine::new(points.clone(), method_style(family, k)).named(&family.title);
+    let mut line = ChartLine::new(curve, method_style(family, k)).named(&family.title);
     line.marks = points;
     let bars = |(cost_spread, score): &(Spread, Spread)| {
         let (x, y) = (cost_spread.mean, axis_value(key, score.mean));
