@@ -225,7 +225,7 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
 
 /// Parts of messages for the command line with their texts in Python. They are replaced in this order: a longer part precedes
 /// one that it contains.
-const PYTHON_TEXTS: [(&str, &str); 11] = [
+const PYTHON_TEXTS: [(&str, &str); 12] = [
     ("`residuals: Kriged()`", "`residuals=pwrfgs.settings.Kriged()`"),
     (
         "give it to `import --orientation`, or as `orientation` in gateway_info.yml",
@@ -241,6 +241,7 @@ const PYTHON_TEXTS: [(&str, &str); 11] = [
     ("--set ", ""),
     ("another --out", "another `out`"),
     ("--scale ", "scale="),
+    ("to add one, give the complete list", "give the complete list; values of an axis: `[[Mine(0.1)], [Mine(0.2)]]`"),
     ("--candidates FILE or --floor SCENE", "`candidates` or `floor`"),
     ("--accept ", "accept="),
 ];

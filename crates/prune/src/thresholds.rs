@@ -113,7 +113,8 @@ impl Pruner for RadSplat {
 /// Keeps the best-scored Gaussians at each prune step, at most `training.target_count`.
 ///
 /// Use it for a fixed memory or time budget. `densify.max_gaussians` complements it: it limits growth during
-/// densification. Ties follow the order of the Gaussians. `Weight`, the blending weight used by importance-based
+/// densification. The first prune step already removes all others; most pruners remove an equal share at each prune
+/// step. Ties follow the order of the Gaussians. `Weight`, the blending weight used by importance-based
 /// pruning of visual splatting, ranks best; `Opacity` and `OpacityVolume` need no render.
 ///
 /// ```
