@@ -418,7 +418,7 @@ def report(
     variants: Sequence[str] = (),
 ) -> str:
     """Compare finished runs or sweeps: write tables, figures and report.html to ``out`` (default: ``report`` in the first
-    folder); returns the tables as text. ``columns`` are those of the score table in LaTeX, such as ``["ssim",
+    folder); returns the tables and the path of the page as text. ``columns`` are those of the score table in LaTeX, such as ``["ssim",
     "ssim.median"]``, and ``variants`` the variants or methods in the figures, at most 6. ``reference`` is the variant or
     baseline from which differences are taken, or a value on an axis, such as ``"Mine"``: each variant is then compared with
     the one that differs only on this axis."""
@@ -427,4 +427,5 @@ def report(
     if not folders:
         raise InputError("runs is empty; pass at least one run")
     where = os.path.join(folders[0], "report") if out is None else os.fspath(out)
-    return str(_pwrfgs.report(folders, where, reference, list(columns), list(variants)))
+    tables = str(_pwrfgs.report(folders, where, reference, list(columns), list(variants)))
+    return f"{tables}\nreport: {os.path.join(where, 'report.html')}\n"

@@ -485,7 +485,8 @@ def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_pat
     }}  # fmt: skip
     runs = pwrfgs.sweep(pipeline, axes=axes, out=tmp_path / "s", name="s", seeds=[0, 1])
     assert [len(run.model.gaussians().means) for run in runs] == [20, 20, 10, 10]
-    assert "pruner mine" in pwrfgs.report(tmp_path / "s", reference="mine")
+    printed = pwrfgs.report(tmp_path / "s", reference="mine")
+    assert "differences from mine" in printed and printed.endswith(f"report: {tmp_path / 's/report/report.html'}\n")
     alone = {"pruners": [], "training.target_count": 20}
     run = pwrfgs.run(pipeline, set=alone, pruners=[Brightest()], out=tmp_path / "alone", progress=False)
     assert run.model.n == 20

@@ -166,6 +166,7 @@ fn shards_divide_runs() {
     succeed(here, &["sweep", "e.ron", "--shard", "1/3"]);
     assert_eq!(RUNS.map(there), [true; 4]);
     refuse(here, &["sweep", "e.ron", "--only", "lambda=0.02,start=fw,seed=4"], 2, &["did you mean", RUNS[2]]);
+    refuse(here, &["sweep", "runs/tiny", "--status"], 2, &["runs/tiny", "is a folder; name a file"]);
     let parts = RUNS[2].rsplit_once(',').unwrap();
     for name in [parts.0, parts.1] {
         let listed = stdout(&succeed(here, &["sweep", "e.ron", "--status", "--only", name]));

@@ -50,6 +50,9 @@ impl ShippedFile {
         if let Some(file) = Self::find(folder, Path::new(""), path) {
             return Ok(file.text());
         }
+        if path.is_dir() {
+            return Err(Error::input(path, "is a folder; name a file"));
+        }
         let files = Self::all(folder);
         if path.extension().is_some() || path.exists() || files.is_empty() {
             return read_text_at_most(path, limit);

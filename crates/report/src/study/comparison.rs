@@ -203,9 +203,10 @@ impl<'a> Comparison<'a> {
     }
 
     /// Returns whether the best value of a metric is marked: not for shares, sizes of training sets, and times of several
-    /// machines.
+    /// machines or of a machine with other load.
     pub(super) fn is_ranked(&self, metric: &MetricRow) -> bool {
-        ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || self.has_one_machine())
+        let has_fair_times = || self.has_one_machine() && !has_unsteady_times(self.setting);
+        ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || has_fair_times())
     }
 
     /// Returns the metric with a key; `None` without one.
@@ -270,8 +271,8 @@ impl<'a> Comparison<'a> {
         let (total, count) = (self.setting.runs().count(), self.setting.runs().filter(|run| is_unsteady(run)).count());
         (count > 0).then(|| {
             format!(
-                "Latency is unreliable: the machine had other load in {count} of {total} runs. Repeat `pwrfgs evaluate RUN` \
-                 on an idle machine."
+                "Times are unreliable, and neither ranked nor drawn: the machine had other load in {count} of {total} runs. \
+                 `pwrfgs evaluate RUN` on an idle machine prints those of predictions anew."
             )
         })
     }
@@ -317,6 +318,11 @@ fn is_unsteady_note(note: &str) -> bool {
 /// Returns whether any time of a run is not steady.
 fn is_unsteady(run: &Record) -> bool {
     run.scores.table.notes.iter().any(|note| is_unsteady_note(note))
+}
+
+/// Returns whether the times of any run of the setting are not steady, so that they can mislead.
+pub(super) fn has_unsteady_times(setting: &Setting) -> bool {
+    setting.runs().any(is_unsteady)
 }
 
 /// Returns a row per baseline, sorted by type, with the first run of each seed.

@@ -5,6 +5,7 @@ use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, text_width, wrap_
 use crate::draw::axes::ticks;
 use crate::draw::charts::{Legend, SYMBOL, Symbol};
 use crate::draw::marks::SHADES;
+use crate::study::comparison::has_unsteady_times;
 use minijinja::context;
 use pwrfgs_experiment::{Record, Setting, StudyVariant, distinct, statistics::Spread, text::number};
 
@@ -59,8 +60,11 @@ impl<'a> Bar<'a> {
     }
 }
 
-/// Draws the latency by stage as stacked bars; `None` without timed variants.
+/// Draws the latency by stage as stacked bars; `None` without timed variants, or if times are not steady.
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
+    if has_unsteady_times(setting) {
+        return None;
+    }
     let bars: Vec<Bar<'_>> = setting.variants.iter().filter_map(Bar::of).collect();
     let longest = bars.iter().map(Bar::stage_sum).fold(0.0, f64::max);
     if !(longest > 0.0 && longest.is_finite()) {

@@ -4,6 +4,7 @@ use super::Figure;
 use super::shown::{CURVES, grey_baselines, has_label};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
+use crate::study::comparison::has_unsteady_times;
 use minijinja::context;
 use pwrfgs_core::{Headline, statistics::bounds};
 use pwrfgs_experiment::paired::is_rate_ratio;
@@ -132,8 +133,9 @@ struct CostAxis {
     value: fn(&Record) -> Option<f64>,
 }
 
-/// Index of the number of Gaussians in [`COSTS`].
+/// Index of the number of Gaussians in [`COSTS`], and that of the latency.
 const N: usize = 0;
+const MS: usize = 2;
 
 /// Costs; the index is the parameter of [`pareto_figure`].
 const COSTS: [CostAxis; 3] = [
@@ -143,9 +145,12 @@ const COSTS: [CostAxis; 3] = [
 ];
 
 /// Draws the first metric of methods at equal numbers of Gaussians against the cost with index `K` in [`COSTS`]. `None` if
-/// there are too few methods, or none has this cost.
+/// there are too few methods, none has this cost, or it is a time that is not steady.
 pub(super) fn pareto_figure<const K: usize>(setting: &Setting, references: &[&str]) -> Option<Figure> {
     let (cost, headline) = (&COSTS[K], setting.headline());
+    if K == MS && has_unsteady_times(setting) {
+        return None;
+    }
     // Methods that are always worse than all baselines would compress the axis.
     let is_worst = |family: &VariantFamily<'_>| is_worse_than_baselines(setting, family);
     let (left_out, families): (Vec<_>, Vec<_>) =

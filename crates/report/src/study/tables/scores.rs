@@ -2,7 +2,8 @@
 
 use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, table_title};
 use crate::study::comparison::{
-    Comparison, ComparisonRow, RowKind, SHARE, SummaryStatistic, TRAINED_ON, TRAINING, is_time, statistics,
+    Comparison, ComparisonRow, RowKind, SHARE, SummaryStatistic, TRAINED_ON, TRAINING, has_unsteady_times, is_time,
+    statistics,
 };
 use crate::study::reference::{Reference, RowDifferences};
 use crate::templates::render_sentences;
@@ -221,6 +222,7 @@ fn build_table(
     }
     let mut table = Table { name, title: table_title(words, comparison.setting), columns, lines, legend: Vec::new() };
     let (least, most) = comparison.setting.seed_counts();
+    let has_times = specs.iter().any(|(metric, _)| is_time(metric));
     let words = context! {
         name,
         observations => comparison.setting.task().counted[1],
@@ -234,7 +236,8 @@ fn build_table(
         twins => !comparison.twin_groups().is_empty(),
         ceiling => table.has_row_of(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,
-        machines_differ => !comparison.has_one_machine() && specs.iter().any(|(metric, _)| is_time(metric)),
+        unsteady => has_unsteady_times(comparison.setting) && has_times,
+        machines_differ => !comparison.has_one_machine() && has_times,
     };
     table.legend = render_sentences("legend.txt", words);
     Some(table)
