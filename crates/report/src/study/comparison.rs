@@ -268,11 +268,12 @@ impl<'a> Comparison<'a> {
 
     /// Warns of times that the runs measured on a machine with other load; `None` without such times.
     pub(super) fn unsteady_times_warning(&self) -> Option<String> {
-        let (total, count) = (self.setting.runs().count(), self.setting.runs().filter(|run| is_unsteady(run)).count());
+        let (count, total) = unsteady_runs(self.setting);
+        let result = if has_unsteady_times(self.setting) { ", and times are neither ranked nor drawn" } else { "" };
         (count > 0).then(|| {
             format!(
-                "Times are unreliable, and neither ranked nor drawn: the machine had other load in {count} of {total} runs. \
-                 `pwrfgs evaluate RUN` on an idle machine prints those of predictions anew."
+                "Times are unreliable: the machine had other load in {count} of {total} runs{result}. `pwrfgs evaluate RUN` on \
+                 an idle machine prints those of predictions anew."
             )
         })
     }
@@ -315,14 +316,16 @@ fn is_unsteady_note(note: &str) -> bool {
     note.contains(": not steady: ")
 }
 
-/// Returns whether any time of a run is not steady.
-fn is_unsteady(run: &Record) -> bool {
-    run.scores.table.notes.iter().any(|note| is_unsteady_note(note))
+/// Returns the number of runs with any time that is not steady, and that of all runs.
+fn unsteady_runs(setting: &Setting) -> (usize, usize) {
+    let is_unsteady = |run: &&Record| run.scores.table.notes.iter().any(|note| is_unsteady_note(note));
+    (setting.runs().filter(is_unsteady).count(), setting.runs().count())
 }
 
-/// Returns whether the times of any run of the setting are not steady, so that they can mislead.
+/// Returns whether times are not steady in so many runs, a quarter, that the steady ones can mislead too.
 pub(super) fn has_unsteady_times(setting: &Setting) -> bool {
-    setting.runs().any(is_unsteady)
+    let (count, total) = unsteady_runs(setting);
+    count > 0 && 4 * count >= total
 }
 
 /// Returns a row per baseline, sorted by type, with the first run of each seed.
