@@ -35,7 +35,7 @@ def test_compare_trains_and_scores(powers, tmp_path):
     assert [run.finished for run in result.runs] == [True, True] and result.folder == str(tmp_path / "out")
     assert all(np.array_equal(one, other) for one, other in zip(result.split, planned.split))
     kinds = {row["variant"]: row["kind"] for row in result.rows}
-    assert kinds["P-WRFGS"] == "variant" and kinds["U-Net"] == "external" and "Kriging" in kinds
+    assert kinds["method P-WRFGS"] == "variant" and kinds["U-Net"] == "external" and "Kriging" in kinds
     first = result.rows[0]
     assert first["n"] == 2 and math.isfinite(first["value"]) and first["simulated"] is False
     check_result(result, ["variant", "metric", "statistic", "value"], len(result.rows))
