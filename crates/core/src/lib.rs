@@ -77,7 +77,7 @@ pub use method::{
     Activated, Appearance, Call, Cost, ForwardOutput, Method, MethodTraits, MethodVjp, Parameters, PixelSubset,
     SpectrumLoss, WantedInputs,
 };
-pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
+pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, UNSTEADY, Values};
 pub use misfit::{Demand, Misfit, Requirement, SetupDifference};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use powers::{LoneValue, PowerUnit, lone_values, shared_values};

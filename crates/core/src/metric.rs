@@ -152,6 +152,9 @@ pub enum Goal {
     Lower,
 }
 
+/// First words of the note on times that other load of the machine has changed; reports find such notes by them.
+pub const UNSTEADY: &str = "not steady: ";
+
 /// Result of a metric.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {

@@ -3,7 +3,7 @@
 use crate::create_measurement;
 use pwrfgs_core::numbers::number;
 use pwrfgs_core::statistics::{median, sorted};
-use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, StageTimes, Values};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, StageTimes, UNSTEADY, Values};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -144,7 +144,7 @@ fn describe_unsteadiness(times: &[StageTimes]) -> Option<String> {
     }
     let [low, high, parts, total] = [low, high, parts, total].map(|seconds| number(1e3 * seconds));
     Some(format!(
-        "not steady: half of the predictions take {low} to {high} ms, and the medians of the parts add up to {parts} ms \
+        "{UNSTEADY}half of the predictions take {low} to {high} ms, and the medians of the parts add up to {parts} ms \
          (total {total} ms); evaluate again on a machine without other load"
     ))
 }

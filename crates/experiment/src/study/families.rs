@@ -41,12 +41,11 @@ impl<'a> VariantFamily<'a> {
     /// train for different numbers of steps is one per number, which all names then state.
     pub fn group(setting: &'a Setting) -> Vec<Self> {
         let has_lengths = has_sweeps_of_other_length(setting);
-        let length = |variant: &StudyVariant| variant.runs[0].pipeline.training.steps;
         let mut families: Vec<Self> = Vec::new();
         for variant in &setting.variants {
             let name = family_name(&variant.label);
             let value = family_value(&variant.label, &name);
-            let is_same_length = |other: &Self| !has_lengths || length(other.variants[0]) == length(variant);
+            let is_same_length = |other: &Self| !has_lengths || other.variants[0].steps() == variant.steps();
             match families.iter_mut().find(|family| family.name == name && is_same_length(family)) {
                 Some(family) => {
                     family.variants.push(variant);
@@ -69,8 +68,8 @@ impl<'a> VariantFamily<'a> {
                 [only] => only.label.strip_prefix(&prefix).unwrap_or(&only.label).to_owned(),
                 _ => family.name.clone(),
             };
-            if states_length {
-                let steps = format!(", {} steps", grouped(length(family.variants[0]) as i64));
+            if let Some(steps) = family.variants[0].steps().filter(|_| states_length) {
+                let steps = format!(", {} steps", grouped(steps as i64));
                 family.name += &steps;
                 family.title += &steps;
             }
@@ -89,9 +88,8 @@ impl<'a> VariantFamily<'a> {
 /// lengths.
 fn has_sweeps_of_other_length(setting: &Setting) -> bool {
     let sweep = |variant: &StudyVariant| variant.axes.iter().find(|(axis, _)| axis.is_empty()).cloned();
-    let length = |variant: &StudyVariant| variant.runs.first().map(|run| run.pipeline.training.steps);
     let variants = || setting.variants.iter();
-    distinct(variants().map(sweep)).len() > 1 && distinct(variants().map(length)).len() > 1
+    distinct(variants().map(sweep)).len() > 1 && distinct(variants().map(StudyVariant::steps)).len() > 1
 }
 
 /// Returns the label without numbers and their symbols, and without axes that are a word and a number: `masks` for

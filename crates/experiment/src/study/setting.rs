@@ -90,6 +90,11 @@ impl StudyVariant {
         self.spread(|run| run.scores.value(MODEL, key))
     }
 
+    /// Returns the number of training steps, common to all runs; `None` without runs.
+    pub(super) fn steps(&self) -> Option<u64> {
+        self.runs.first().map(|run| run.pipeline.training.steps)
+    }
+
     /// Lists seeds and checksums of the models of all runs; `None` if `run.json` of a run lacks the checksum.
     fn model_files(&self) -> Option<Vec<(u64, &FileDigest)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()

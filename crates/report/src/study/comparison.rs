@@ -1,5 +1,6 @@
 //! `Comparison`: rows of a setting (variants, then baselines) with all their numbers, as in `report.csv`.
 
+use pwrfgs_core::UNSTEADY;
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
 use pwrfgs_experiment::{CEILING, Record, Setting, StudyVariant, distinct};
@@ -311,10 +312,13 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// Returns whether a note says that times are not steady, as `Latency` writes it.
+/// Returns whether a note says that times are not steady: metric and predictor, a colon and [`UNSTEADY`].
 fn is_unsteady_note(note: &str) -> bool {
-    note.contains(": not steady: ")
+    note.contains(&format!(": {UNSTEADY}"))
 }
+
+/// Share of runs with unsteady times from which on the steady times of the others can mislead too.
+const BUSY: f64 = 0.25;
 
 /// Returns the number of runs with any time that is not steady, and that of all runs.
 fn unsteady_runs(setting: &Setting) -> (usize, usize) {
@@ -322,10 +326,10 @@ fn unsteady_runs(setting: &Setting) -> (usize, usize) {
     (setting.runs().filter(is_unsteady).count(), setting.runs().count())
 }
 
-/// Returns whether times are not steady in so many runs, a quarter, that the steady ones can mislead too.
+/// Returns whether times are not steady in at least [`BUSY`] of the runs.
 pub(super) fn has_unsteady_times(setting: &Setting) -> bool {
     let (count, total) = unsteady_runs(setting);
-    count > 0 && 4 * count >= total
+    count > 0 && count as f64 >= BUSY * total as f64
 }
 
 /// Returns a row per baseline, sorted by type, with the first run of each seed.

@@ -83,7 +83,7 @@ fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
 /// Returns the curve of each method that has this score over N.
 pub(super) fn method_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let families = VariantFamily::group(setting);
-    families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &COSTS[N], key, true)).collect()
+    families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &NUMBER, key, true)).collect()
 }
 
 /// Returns the value of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are
@@ -127,28 +127,27 @@ fn published_line(key: &str, (name, published): &Published) -> ChartLine {
 const SHOWN: usize = CURVES - 1;
 
 /// Cost on the horizontal axis.
-struct CostAxis {
+pub(super) struct CostAxis {
     name: &'static str,
     axis: &'static str,
     value: fn(&Record) -> Option<f64>,
 }
 
-/// Index of the number of Gaussians in [`COSTS`], and that of the latency.
-const N: usize = 0;
-const MS: usize = 2;
+/// Number of Gaussians.
+pub(super) const NUMBER: CostAxis =
+    CostAxis { name: "pareto-n", axis: "number of Gaussians N", value: |run| Some(run.facts.gaussians as f64) };
+/// Size of the model file.
+pub(super) const BYTES: CostAxis =
+    CostAxis { name: "pareto-bytes", axis: "model size [bytes]", value: |run| run.scores.value(MODEL, "model_bytes") };
+/// Time of a prediction.
+pub(super) const LATENCY: CostAxis =
+    CostAxis { name: "pareto-ms", axis: "latency [ms]", value: |run| run.scores.value(MODEL, "latency_total_ms") };
 
-/// Costs; the index is the parameter of [`pareto_figure`].
-const COSTS: [CostAxis; 3] = [
-    CostAxis { name: "pareto-n", axis: "number of Gaussians N", value: |run| Some(run.facts.gaussians as f64) },
-    CostAxis { name: "pareto-bytes", axis: "model size [bytes]", value: |run| run.scores.value(MODEL, "model_bytes") },
-    CostAxis { name: "pareto-ms", axis: "latency [ms]", value: |run| run.scores.value(MODEL, "latency_total_ms") },
-];
-
-/// Draws the first metric of methods at equal numbers of Gaussians against the cost with index `K` in [`COSTS`]. `None` if
-/// there are too few methods, none has this cost, or it is a time that is not steady.
-pub(super) fn pareto_figure<const K: usize>(setting: &Setting, references: &[&str]) -> Option<Figure> {
-    let (cost, headline) = (&COSTS[K], setting.headline());
-    if K == MS && has_unsteady_times(setting) {
+/// Draws the first metric of methods at equal numbers of Gaussians against a cost: [`NUMBER`], [`BYTES`] or
+/// [`LATENCY`]. `None` if there are too few methods, none has this cost, or it is a time that is not steady.
+pub(super) fn pareto_figure(setting: &Setting, cost: &CostAxis, references: &[&str]) -> Option<Figure> {
+    let headline = setting.headline();
+    if cost.name == LATENCY.name && has_unsteady_times(setting) {
         return None;
     }
     // Methods that are always worse than all baselines would compress the axis.
@@ -173,7 +172,7 @@ pub(super) fn pareto_figure<const K: usize>(setting: &Setting, references: &[&st
         return None;
     }
     lines.append(&mut others);
-    let published = K == N && headline.key == "ssim" && is_s23(setting);
+    let published = cost.name == NUMBER.name && headline.key == "ssim" && is_s23(setting);
     lines.extend(PUBLISHED_SSIM.iter().filter(|_| published).map(|published| published_line(headline.key, published)));
     lines.extend(baseline_lines(setting, headline.key));
     let axis = format!("mean {}", headline.name);
